@@ -1,6 +1,5 @@
 """Speed: equal tasks of the peers, the plan and ratios of the suite, programs on one device, costs, kernels."""
 
-import dataclasses
 import importlib.util
 import json
 import subprocess
@@ -16,7 +15,7 @@ from benchmarks.speed.peers.common import DOOR, TABLETOP
 from benchmarks.speed.peers.learners import LEARNERS, Batch
 from benchmarks.speed.peers.numpy_tabletop import NumpyTabletop
 from benchmarks.speed.peers.original import Door
-from benchmarks.speed.peers.plan import BARS, LANES, Job, plan, ratios
+from benchmarks.speed.peers.plan import LANES, RATIOS, Job, plan, ratios
 from earl_jax.algos import list_algos, make_algo
 from earl_jax.cli.arguments import parse_options
 from earl_jax.envs import PAPER_TASKS, make
@@ -32,8 +31,8 @@ class CodeJob(Job):
         return ("-c", self.module)
 
 
-def code_job(code: str, **changes) -> CodeJob:
-    return dataclasses.replace(CodeJob("peer", TABLETOP, code, "cpu", 1), **changes)
+def code_job(code: str) -> CodeJob:
+    return CodeJob("peer", TABLETOP, code, 1)
 
 
 def test_the_numpy_tabletop_equals_the_jax_task():
@@ -90,42 +89,35 @@ def test_the_pytorch_learner_of_the_python_loop_fits_terminal_rewards():
     run_code(code)
 
 
-def test_every_bar_has_its_rows_in_the_full_suite():
+def test_every_ratio_has_its_rows():
     for device in ("cpu", "gpu"):
-        rows = [make_row(job.peer, job.task, job.lanes, job.processes, 1.0) for job in plan("full", device, 16)]
-        assert [entry["ratio"] for entry in ratios(rows)] == [1.0] * len(BARS)
-    assert all(job.processes == 1 for job in plan("quick", "cpu", 16))
+        rows = [make_row(job.peer, job.task, job.lanes, 1.0) for job in plan(device)]
+        assert [entry["ratio"] for entry in ratios(rows)] == [1.0] * len(RATIOS)
 
 
-def make_row(peer: str, task: str, lanes: int, processes: int, rate: float | None) -> dict:
-    key = {"peer": peer, "task": task, "device": "cpu", "lanes": lanes}
-    return {**key, "processes": processes, "lane_steps_per_s": rate}
+def make_row(peer: str, task: str, lanes: int, rate: float | None) -> dict:
+    return {"peer": peer, "task": task, "device": "cpu", "lanes": lanes, "lane_steps_per_s": rate}
 
 
 def test_a_ratio_is_to_the_fastest_row_that_ran():
     rows = [
-        make_row("earl_jax", TABLETOP, LANES, 1, 300.0), make_row("earl_jax", TABLETOP, 5, 1, 900.0),
-        make_row("earl_jax", DOOR, LANES, 1, 200.0),
-        make_row("sbx", TABLETOP, 1, 1, 20.0), make_row("sbx", TABLETOP, 1, 1, 30.0), make_row("sbx", TABLETOP, 1, 4, 75.0),
-        make_row("rejax", TABLETOP, LANES, 1, 200.0), make_row("rejax, 10,000 rows", TABLETOP, LANES, 1, 280.0),
-        make_row("brax", TABLETOP, 1, 1, None),
-        make_row("original-style, jax", DOOR, 1, 1, 40.0), make_row("original-style, torch", DOOR, 1, 1, 50.0),
+        make_row("earl_jax", TABLETOP, LANES, 300.0), make_row("earl_jax", TABLETOP, 5, 900.0),
+        make_row("earl_jax", DOOR, LANES, 200.0),
+        make_row("sbx", TABLETOP, 1, 20.0), make_row("sbx", TABLETOP, 1, 30.0), make_row("rejax", TABLETOP, LANES, 200.0),
+        make_row("brax", TABLETOP, 1, None),
+        make_row("original-style, jax", DOOR, 1, 40.0), make_row("original-style, torch", DOOR, 1, 50.0),
     ]  # fmt: skip
-    by_bar = {(entry["over"], entry["side_by_side"]): (entry["ratio"], entry["met"]) for entry in ratios(rows)}
-    assert by_bar == {
-        ("sbx", False): (10.0, True), ("rejax", False): (1.5, False), ("brax", False): (None, None),
-        ("original-style", False): (4.0, None), ("sbx", True): (4.0, None),
-    }  # fmt: skip
+    by_peer = {entry["over"]: entry["ratio"] for entry in ratios(rows)}
+    assert by_peer == {"sbx": 10.0, "rejax": 1.5, "brax": None, "original-style": 4.0}
 
 
-def test_the_rates_of_parallel_processes_are_added():
-    row = json.dumps({"peer": "peer", "lane_steps_per_s": 2.5, "start_s": 1.0, "compile_s": 3.0})
-    measured = suite.measure(code_job(f"print('noise'); print({row!r})", processes=3), sys.executable, 60)
-    assert (measured["processes"], measured["lane_steps_per_s"], measured["compile_s"]) == (3, 7.5, 3.0)
+def test_a_row_is_the_last_line_that_its_process_prints():
+    row = {"peer": "peer", "lane_steps_per_s": 2.5, "start_s": 1.0, "compile_s": 3.0}
+    assert suite.measure(code_job(f"print('noise'); print({json.dumps(row)!r})"), sys.executable, 60) == row
 
 
 def test_a_row_that_does_not_run_has_a_reason():
-    absent = Job("sbx", TABLETOP, "nowhere", "cpu", 1)
+    absent = Job("sbx", TABLETOP, "nowhere", 1)
     assert "No module named" in suite.measure(absent, sys.executable, 60)["reason"]
     assert "time was over" in suite.measure(absent, sys.executable, 0)["reason"]
     assert "no/such/python" in suite.measure(absent, "no/such/python", 60)["reason"]

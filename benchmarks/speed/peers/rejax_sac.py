@@ -43,10 +43,10 @@ class Tabletop(environment.Environment):
 
 
 def main() -> None:
-    chosen = common.options(__doc__, capacity={"type": int, "default": common.CAPACITY})
+    chosen = common.options(__doc__)
     learner = SAC.create(
         env=Tabletop(), hidden_layer_sizes=common.HIDDEN, num_critics=2, num_envs=1, num_epochs=1, batch_size=common.BATCH,
-        buffer_size=chosen.capacity, fill_buffer=0, learning_rate=common.LEARNING_RATE, polyak=0.995,
+        buffer_size=common.CAPACITY, fill_buffer=0, learning_rate=common.LEARNING_RATE, polyak=0.995,
     )  # fmt: skip
     states = jax.jit(jax.vmap(learner.init_state))(jax.random.split(jax.random.PRNGKey(0), chosen.lanes))
 
@@ -67,7 +67,7 @@ def main() -> None:
         ("rejax", "gymnax", "distrax", "jax", "jaxlib", "flax", "optax"), peer="rejax", task=common.TABLETOP,
         device=jax.devices()[0].device_kind, lanes=chosen.lanes,
         lane_steps_per_s=chosen.steps * chosen.lanes / seconds, start_s=start, compile_s=compiled,
-        note=f"its train_iteration in the loop of its train(), without the evaluations; {chosen.capacity:,} replay rows a seed, "
+        note=f"its train_iteration in the loop of its train(), without the evaluations; {common.CAPACITY:,} replay rows a seed, "
         "sampled without replacement, as rejax does; updates from the first step",
     )  # fmt: skip
 
