@@ -96,7 +96,7 @@ def _pair_row(root: Path, pair: Pair) -> Row | None:
 def _pooled(root: Path, names: tuple[str, ...]) -> Curves | None:
     """Return the pooled seeds of those of the folders that have a run, as runs of the task and method of their folder.
 
-    Runs of the same seed count once, by their mean. A variant from a file has names of its own in its config.
+    A variant from a file has names of its own in its config.
     """
     folders = [root / name for name in names if (root / name / "metrics.csv").is_file()]
     if not folders:
@@ -106,15 +106,7 @@ def _pooled(root: Path, names: tuple[str, ...]) -> Curves | None:
         raise InputError(f"{', '.join(map(str, folders))} differ in their options, so their seeds cannot be pooled")
     env, label = folders[0].relative_to(root).as_posix().split("/", 1)
     config = dataclasses.replace(runs[0].config, env=env, algo=label.split("/")[0])
-    return _once(runs[0])._replace(config=config, label=label)
-
-
-def _once(run: Curves) -> Curves:
-    """Return `run` with one row for each seed: the mean of its runs."""
-    seeds = np.array([seed for folder in run.runs for seed in folder.config.seeds])
-    rows = [seeds == seed for seed in np.unique(seeds)]
-    metrics = {name: np.stack([values[row].mean(0) for row in rows]) for name, values in run.metrics.items()}
-    return run._replace(metrics=metrics)
+    return runs[0]._replace(config=config, label=label)
 
 
 def table(rows: list[Row], own_cells: list[Row]) -> str:

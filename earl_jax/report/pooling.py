@@ -59,8 +59,9 @@ def gather(
 ) -> tuple[list[Curves], dict[Path, str]]:
     """Return the curves of the runs that `find_runs` finds, and the causes of those that are left out, by folder.
 
-    Seeds of the same task, method and options are pooled over their common steps. A run is left out if it cannot be read
-    or pooled with the earlier ones, or if `check` of the pooled curves raises an error.
+    Seeds of the same task, method and options are pooled over their common steps, and a seed that ran more than once counts
+    once, by the mean of its runs. A run is left out if it cannot be read or pooled with the earlier ones, or if `check` of
+    the pooled curves raises an error.
 
     Raises:
         ValueError: a folder does not exist or holds no run, no run can be read, or `window` is no `Window`.
@@ -86,7 +87,7 @@ def gather(
         raise InputError(causes if len(left_out) == 1 else f"none of the runs can be read:\n  {causes}")
     for key, parts in pools.items():
         _warn_if_shortened(runs[key], parts)
-    return list(runs.values()), left_out
+    return list(map(_once, runs.values())), left_out
 
 
 def _check_repeated(run: Curves, added: int) -> None:
@@ -98,6 +99,22 @@ def _check_repeated(run: Curves, added: int) -> None:
         if row >= len(seeds) - added and life in lives:
             raise InputError(f"{path} has the same numbers of seed {seed} as {lives[life]}; a seed counts once")
         lives[life] = path
+
+
+def _once(run: Curves) -> Curves:
+    """Return `run` with a row for each seed: the mean of its runs, which are not independent. A `RunWarning` names them."""
+    seeds = [seed for folder in run.runs for seed in folder.config.seeds]
+    rows = {seed: np.equal(seeds, seed) for seed in seeds}
+    repeated = [seed for seed, chosen in rows.items() if chosen.sum() > 1]
+    if not repeated:
+        return run
+    paths = " and ".join(str(folder.path) for folder in run.runs if {*repeated} & {*folder.config.seeds})
+    text = f"{paths} have seed {', '.join(map(str, repeated))}; each counts once, by the mean of its runs"
+    warnings.warn(text, RunWarning, stacklevel=3)
+    means = {
+        name: np.stack([values[row].mean(axis=0) for row in rows.values()]) for name, values in run.metrics.items()
+    }
+    return run._replace(metrics=Columns(run.runs[0].path, means))
 
 
 def _warn_if_shortened(run: Curves, parts: Sequence[Curves]) -> None:

@@ -10,7 +10,7 @@ import pytest
 from earl_jax.report.pooling import find_runs, gather, read_all
 from earl_jax.report.runs import labels
 from earl_jax.runs.files import RunWarning
-from tests.report.run_files import TABLETOP, change_config, rising, write_page_run, write_run
+from tests.report.run_files import TABLETOP, change_config, constant, rising, write_page_run, write_run
 
 
 def test_runs_of_another_class_with_the_name_of_a_method_are_kept_apart_and_labelled_with_it(tmp_path):
@@ -36,8 +36,8 @@ def test_pooled_runs_have_the_later_metrics_that_all_of_them_have_in_any_order(t
 def test_runs_are_pooled_over_their_common_steps(tmp_path):
     paths = [
         write_run(tmp_path / "a", TABLETOP, "naive", rising(1, 3)),
-        write_run(tmp_path / "b", TABLETOP, "naive", rising(1, 2), steps=(20, 40)),
-        write_run(tmp_path / "c", TABLETOP, "naive", rising(1, 2), steps=(50, 100)),
+        write_run(tmp_path / "b", TABLETOP, "naive", rising(1, 2), steps=(20, 40), seeds=(1,)),
+        write_run(tmp_path / "c", TABLETOP, "naive", rising(1, 2), steps=(50, 100), seeds=(2,)),
     ]
     pooled = read_all(paths[:2])[0]
     np.testing.assert_array_equal(pooled.steps, [20])
@@ -106,15 +106,23 @@ def test_a_run_that_does_not_fit_is_left_out_of_its_pool(tmp_path):
     assert left_out[tmp_path / "other"].startswith(f"{table} has no column 'reached'")
 
 
-def test_a_copy_counts_once_and_other_numbers_of_a_seed_count(tmp_path):
+def test_a_copy_is_left_out_and_a_seed_that_ran_twice_counts_once_by_its_mean(tmp_path):
     run, other = (
         write_run(tmp_path / name, TABLETOP, "naive", scores)
         for name, scores in (("a", rising(2, 3)), ("b", rising(2, 3) / 2))
     )
+    write_run(tmp_path / "d", TABLETOP, "naive", constant(0.3)[:, [0, 1, 1]], seeds=(7,))
     copy = shutil.copytree(run, tmp_path / "c")
-    with pytest.warns(RunWarning, match=r"left out: .*c has the same numbers of seed 0 as .*a; a seed counts once"):
+    with (
+        pytest.warns(RunWarning, match=r"left out: .*c has the same numbers of seed 0 as .*a; a seed counts once"),
+        pytest.warns(RunWarning, match=r"a and \S*b have seed 0, 1; each counts once, by the mean of its runs"),
+    ):
         [pooled] = read_all([tmp_path])
-    assert [folder.path for folder in pooled.runs] == [run, other]
+    assert [folder.path for folder in pooled.runs] == [run, other, tmp_path / "d"]
+    means = [*rising(2, 3) * 0.75, [0.3] * 3]
+    np.testing.assert_allclose(pooled.metrics["deployed/success"], means)
+    with pytest.raises(ValueError, match=r"a/metrics\.csv has no column 'none'"):
+        pooled.metrics["none"]
     with pytest.raises(ValueError, match="a seed counts once"):
         read_all([run, copy])
 

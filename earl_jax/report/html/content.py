@@ -49,7 +49,7 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
 def _summary(lines: Sequence[Line], versions: dict[str, list[str]]) -> dict[str, str]:
     runs = sum(len(line.curves.runs) for line in lines)
     seeds = sum(len(line.seeds) for line in lines)
-    steps = sum(int(line.curves.steps[-1]) * len(line.seeds) for line in lines)
+    steps = sum(int(line.curves.steps[-1]) * len(run.config.seeds) for line in lines for run in line.curves.runs)
     return {
         "Runs": f"{runs}, with {counted(seeds, 'seed')} and {steps_text(steps)} steps in total",
         "Methods": ", ".join(dict.fromkeys(line.curves.algo for line in lines)),
@@ -85,15 +85,16 @@ def _task_section(key: str, lines: Sequence[Line], shown: Sequence[Video]) -> di
 
 
 def _notes(lines: Sequence[Line]) -> list[str]:
-    """Return notes on one task's runs: unfinished ones, and seeds that count twice."""
+    """Return notes on one task's runs: unfinished ones, and seeds that ran twice."""
     notes: list[str] = []
     for line in lines:
         trained, planned = int(line.curves.steps[-1]), max(run.config.steps for run in line.curves.runs)
         if trained < planned:
             notes.append(f"{line.curves.label}: {trained:,} of {planned:,} steps trained.")
-        repeated = ", ".join(str(seed) for seed in sorted(set(line.seeds)) if line.seeds.count(seed) > 1)
+        seeds = [seed for run in line.curves.runs for seed in run.config.seeds]
+        repeated = ", ".join(str(seed) for seed in sorted(line.seeds) if seeds.count(seed) > 1)
         if repeated:
-            notes.append(f"{line.curves.label}: seed {repeated} was trained in several runs, and each of them counts.")
+            notes.append(f"{line.curves.label}: seed {repeated} ran more than once and counts by the mean of its runs.")
     return notes
 
 

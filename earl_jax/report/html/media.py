@@ -12,6 +12,7 @@ from earl_jax.envs import Map
 from earl_jax.errors import InputError
 from earl_jax.metrics.visitation import measure
 from earl_jax.report.html.curves import Line
+from earl_jax.report.runs import read
 from earl_jax.report.scores import seed_scores
 from earl_jax.runs.contents import POLICIES
 from earl_jax.runs.folder import RunFolder
@@ -155,15 +156,13 @@ def videos(lines: Sequence[Line], policies: PolicyVideos | None = None) -> list[
 
 def _films(line: Line, policies: PolicyVideos | None) -> Iterator[tuple[Film, str]]:
     """Yield the videos of a line, each with the start of the sentence about its problem."""
-    scores, first = seed_scores(line.curves), 0
     for run in line.curves.runs:
         for file in sorted(run.path.iterdir()):
             if file.suffix.lower() in KINDS:
                 yield Film(file, file.name), f"{file} is left out"
         if policies:
-            last = first + len(run.config.seeds)
-            yield policies.film(run, scores[first:last]), f"No video of the policy of {run.path}"
-            first = last
+            scores = seed_scores(read(run.path, line.curves.window))
+            yield policies.film(run, scores), f"No video of the policy of {run.path}"
 
 
 def _content(film: Film, room: int) -> tuple[str, bytes]:

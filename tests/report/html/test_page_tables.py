@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.paper import leaderboard as committed
+from earl_jax.report.html.content import page_content
 from earl_jax.report.html.curves import POINTS, lines_of, panels
 from earl_jax.report.html.page_tables import HERE, leaderboard, paper_table, seed_table
 from earl_jax.report.leaderboard import shipped_rows
@@ -109,3 +110,12 @@ def test_a_run_of_the_repository_is_shown_once(tmp_path):
     folder = next(path for path in committed.folders() if path.parts[-2:] == (DOOR, "r3l"))
     rows = cells(leaderboard(read_lines(shutil.copytree(folder, tmp_path / "copy"))))
     assert sorted(row["from"] for row in rows if row["method"].startswith("r3l")) == ["EARL, 2022", HERE]
+
+
+def test_a_seed_that_ran_twice_has_one_row_and_a_note(tmp_path):
+    scores = {"a": (0.9, 0.1), "b": (0.5, 0.3)}
+    lines = read_lines(*(write_page_run(tmp_path / name, "fbrl", constant(*of)) for name, of in scores.items()))
+    assert [cells[:2] for _, _, cells in seed_table(lines)["rows"]] == [["0", "0.7"], ["1", "0.2"]]
+    content = page_content(lines)
+    assert content["tasks"][0]["notes"] == ["fbrl: seed 0, 1 ran more than once and counts by the mean of its runs."]
+    assert content["summary"]["Runs"] == "2, with 2 seeds and 80 steps in total"
