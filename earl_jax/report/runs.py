@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.envs import env_class, list_envs, make
+from earl_jax.envs import PAPER_TASKS, env_class, make
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import count_diverged
 from earl_jax.metrics.scores import DEFAULT, Window
@@ -80,7 +80,7 @@ class Curves(NamedTuple):
     def comparable(self) -> bool:
         """Whether the task, its kind of reward (sparse or dense) and the setting are those of the paper's tables."""
         config = self.config
-        if config.env not in list_envs() or config.env_class or not config.env_options.keys() <= SAME_TASK:
+        if config.env not in PAPER_TASKS or config.env_class or not config.env_options.keys() <= SAME_TASK:
             return False
         same_reward = config.deployed_metric == deployed_metric(make(config.env))
         return same_reward and config.build_setting() == Deployment()

@@ -1,8 +1,10 @@
 """Curves read from run folders, in the order and with the labels of tables."""
 
+from importlib import metadata
+
 from earl_jax.protocol import Continuing
 from earl_jax.report.pooling import read_all
-from earl_jax.report.runs import by_method, labels
+from earl_jax.report.runs import by_method, labels, read
 from tests.report.run_files import DOOR, TABLETOP, change_config, rising, write_run
 
 
@@ -56,3 +58,9 @@ def test_a_known_method_on_an_unknown_task_is_labelled_with_its_own_default(tmp_
     for path in paths:
         change_config(path, env="theirs")
     assert labels(read_all(paths)) == ["fbrl (reward_scale=1)", "fbrl (reward_scale=10)"]
+
+
+def test_no_package_is_searched_to_know_whether_a_run_is_comparable(tmp_path, monkeypatch):
+    runs = [read(write_run(tmp_path / env, env, "naive", rising(1, 1))) for env in (TABLETOP, "cheetah_run")]
+    monkeypatch.delattr(metadata, "entry_points")
+    assert [run.comparable for run in runs] == [True, False]

@@ -68,7 +68,7 @@ def leaderboard(lines: Sequence[Line]) -> dict[str, Any]:
     """
     env = lines[0].curves.env
     shipped = [row for row in shipped_rows() if row["env"] == env]
-    own = [_board_row(line) for line in lines if shipped and line.curves.comparable]
+    own = [_board_row(line) for line in lines if line.curves.comparable]
     shown = [_identity(row) for row in own]
     rows = ranked([*own, *(row for row in shipped if row["source"] != OURS or _identity(row) not in shown)])
     table_rows = [(row.get("line"), row["method"], texts(row)[1:]) for row in rows.get(env, ())]
