@@ -54,12 +54,11 @@ def best(
     `least_p` is the smallest adjusted p that the test could give with these numbers of seeds.
 
     Raises:
-        ValueError: a folder holds no run that can be read, one has no such metric, or runs of a task are scored by different
-            metrics.
+        ValueError: no run that can be read has a score by this metric, or runs of a task are scored by different metrics.
     """
     if test not in TESTS:
         raise InputError(f"unknown test {test!r}; choose from {', '.join(TESTS)}")
-    tasks = grouped(read_methods(folders, window), lambda curves: curves.env)
+    tasks = grouped(read_methods(folders, window, metric), lambda curves: curves.env)
     return [row for runs in tasks.values() for row in _ranked(runs, test, metric)]
 
 

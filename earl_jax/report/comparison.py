@@ -75,14 +75,14 @@ def compare(
 
     Runs of the same task, method and options are pooled. Against the released runs there is a row at each of `AGES`.
     `metric` is a column of metrics.csv, such as `deployed/success_wide`; None is the deployed score. The released runs have
-    this and `continuing/reward`. A pair without a common step is left out with a `RunWarning`.
+    this and `continuing/reward`. A pair without a common step is left out with a `RunWarning`, as is a run without the metric.
 
     Raises:
         ValueError: a folder is no run, it has no such metric, or there is nothing to compare.
     """
     if against not in ("runs", "published"):
         raise InputError(f"unknown against {against!r}; choose from runs, published")
-    runs = read_methods(folders, window)
+    runs = read_methods(folders, window, metric)
     if against == "published":
         rows = published_rows(runs, metric)
     else:

@@ -110,7 +110,8 @@ def plot_runs(
     if size not in SIZES:
         raise InputError(f"unknown size {size!r}; choose from {', '.join(SIZES)}")
     require("smooth", smooth, COUNT)
-    lines = _lines(read_all(folders), names)
+    runs = read_all(folders, check=lambda curves: curves.metrics[metric or curves.deployed_metric])
+    lines = _lines(runs, names)
     tasks = task_order(line.curves.env for line in lines)
     by_task = sorted(lines, key=lambda line: tasks.index(line.curves.env))
     of_tasks = grouped(by_task, lambda line: (line.curves.env, metric or line.curves.deployed_metric)).values()

@@ -13,10 +13,16 @@ import numpy as np
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import DEFAULT, Window, require_window
 from earl_jax.report.runs import Columns, Curves, by_method, read
+from earl_jax.report.scores import seed_scores
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.table import COLUMNS
+
+Check = Callable[[Curves], Any]
+"""A function that raises an error if curves lack what a report shows of them."""
+MOST_CAUSES = 5
+"""Most causes in the error that no run can be used."""
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:
@@ -55,7 +61,7 @@ def _warn_of_unread(error: OSError) -> None:
 
 
 def gather(
-    folders: Sequence[Path], check: Callable[[Curves], Any] = lambda curves: None, window: Window = DEFAULT
+    folders: Sequence[Path], check: Check = lambda curves: None, window: Window = DEFAULT
 ) -> tuple[list[Curves], dict[Path, str]]:
     """Return the curves of the runs that `find_runs` finds, and the causes of those that are left out, by folder.
 
@@ -73,18 +79,22 @@ def gather(
     for path in find_runs(folders):
         try:
             curves = read(path, window)
+            check(curves)
             key = pooling_key(curves.config)
             parts = [*pools.get(key, ()), curves]
             run = pooled(parts)
             _check_repeated(run, curves.seeds)
-            check(run)
+            if len(parts) > 1:
+                check(run)
             pools[key], runs[key] = parts, run
         except Exception as error:  # a folder is data: any error in it is reported and affects no other run
             text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
             left_out[path] = text if str(path) in text else f"{path}: {text}"
     if not pools:
-        causes = "\n  ".join(left_out.values())
-        raise InputError(causes if len(left_out) == 1 else f"none of the runs can be read:\n  {causes}")
+        causes = list(left_out.values())
+        more = [f"and {len(causes) - MOST_CAUSES} more"] if len(causes) > MOST_CAUSES else []
+        text = "\n  ".join(["none of the runs can be used:", *causes[:MOST_CAUSES], *more])
+        raise InputError(causes[0] if len(causes) == 1 else text)
     for key, parts in pools.items():
         _warn_if_shortened(runs[key], parts)
     return list(map(_once, runs.values())), left_out
@@ -126,13 +136,13 @@ def _warn_if_shortened(run: Curves, parts: Sequence[Curves]) -> None:
         warnings.warn(f"{paths[0]} is pooled with {paths[1]} and {counted}", RunWarning, stacklevel=3)
 
 
-def read_all(folders: Sequence[Path], window: Window = DEFAULT) -> list[Curves]:
+def read_all(folders: Sequence[Path], window: Window = DEFAULT, check: Check = lambda curves: None) -> list[Curves]:
     """Return the pooled curves of `folders`. Runs below them that `gather` leaves out are named by a `RunWarning`.
 
     Raises:
         ValueError: as `gather`, or one of `folders` is itself a run that is left out.
     """
-    runs, left_out = gather(folders, window=window)
+    runs, left_out = gather(folders, check, window)
     for path, cause in left_out.items():
         if path in folders:
             raise InputError(cause)
@@ -165,6 +175,9 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     return Curves(config, steps, Columns(folders[0].path, metrics), folders, parts[0].window)
 
 
-def read_methods(folders: Sequence[Path], window: Window = DEFAULT) -> list[Curves]:
-    """Return the pooled runs of `folders`, by task and method in the paper's order. Errors as `read_all`."""
-    return by_method(read_all(folders, window))
+def read_methods(folders: Sequence[Path], window: Window = DEFAULT, metric: str | None = None) -> list[Curves]:
+    """Return the pooled runs of `folders` with a score by `metric`, by task and method in the paper's order.
+
+    Errors as `read_all`.
+    """
+    return by_method(read_all(folders, window, functools.partial(seed_scores, metric=metric)))

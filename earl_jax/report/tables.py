@@ -1,6 +1,7 @@
 """Tables: the rows of run folders, and any rows as markdown, LaTeX, csv or text for a terminal."""
 
 import csv
+import functools
 import io
 import math
 import shutil
@@ -89,7 +90,7 @@ def tabulate(
     Raises:
         ValueError: a folder cannot be read, a run has no column `metric`, or `names` are too few or many.
     """
-    runs = read_all(folders, window)
+    runs = read_all(folders, window, functools.partial(seed_scores, metric=metric))
     named = zip(runs, checked_labels(names, labels(runs)), strict=True)
     runs = [curves._replace(label=name) for curves, name in named]
     return [_metric_row(curves, metric) if metric else row_of(curves) for curves in runs]

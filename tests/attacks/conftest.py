@@ -11,7 +11,7 @@ def refused(result):
     """Assert exit code 2 with one line, the parser's usage, or the cause of each run that a report leaves out."""
     code, _, err = result
     assert "Traceback" not in err
-    if any(word in err for word in ("usage:", "helptext", "none of the runs can be shown")):
+    if any(word in err for word in ("usage:", "helptext", "none of the runs can be used")):
         assert code == 2
     else:
         one_line(result)

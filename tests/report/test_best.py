@@ -10,6 +10,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import holm, mean_interval, permutation
 from earl_jax.metrics.scores import Window
 from earl_jax.report.best import best, best_text
+from earl_jax.runs.files import RunWarning
 from tests.cli.process import succeed
 from tests.report.run_files import DOOR, TABLETOP, constant, write_run
 
@@ -76,12 +77,18 @@ def test_another_metric_changes_the_ranking(tmp_path):
     ]
 
 
-def test_a_metric_without_a_value_is_refused_with_the_options_of_its_run(tmp_path):
-    for scale, loss in ((3.0, math.inf), (1.0, 1.0)):
-        folder = tmp_path / str(scale)
-        write_run(folder, TABLETOP, "naive", constant(0.5), metrics={"loss": loss}, reward_scale=scale)
-    with pytest.raises(ValueError, match=r"loss of naive \(reward_scale=3\) has no value"):
-        best([tmp_path], metric="loss")
+def test_a_run_without_a_value_of_a_metric_is_left_out_of_the_ranking(tmp_path):
+    metrics = {"3": {"loss": math.inf}, "2": {}, "1": {"loss": 1.0}}
+    for scale, values in metrics.items():
+        write_run(tmp_path / scale, TABLETOP, "naive", constant(0.5), metrics=values, reward_scale=float(scale))
+    with (
+        pytest.warns(RunWarning, match=r"left out: \S*3: loss of naive has no value at some evaluations"),
+        pytest.warns(RunWarning, match=r"left out: \S*2/metrics\.csv has no column 'loss'"),
+    ):
+        rows = best([tmp_path], metric="loss")
+    assert [(row["options"], row["score"], row["verdict"]) for row in rows] == [("reward_scale=1", 1.0, "best")]
+    with pytest.raises(ValueError, match="loss of naive has no value"):
+        best([tmp_path / "3", tmp_path / "1"], metric="loss")
 
 
 def test_a_shorter_run_comes_last_and_is_not_compared(tmp_path):

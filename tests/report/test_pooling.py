@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from earl_jax.report.pooling import find_runs, gather, read_all
+from earl_jax.report.pooling import find_runs, gather, read_all, read_methods
 from earl_jax.report.runs import labels
 from earl_jax.runs.files import RunWarning
 from tests.report.run_files import TABLETOP, change_config, constant, rising, write_page_run, write_run
@@ -125,6 +125,14 @@ def test_a_copy_is_left_out_and_a_seed_that_ran_twice_counts_once_by_its_mean(tm
         pooled.metrics["none"]
     with pytest.raises(ValueError, match="a seed counts once"):
         read_all([run, copy])
+
+
+def test_at_most_five_causes_are_given_where_no_run_can_be_used(tmp_path):
+    for number in range(7):
+        write_run(tmp_path / str(number), TABLETOP, "naive", rising(1, 1), seeds=(number,))
+    with pytest.raises(ValueError, match=r"no column 'speed'.*\n.*4/metrics\.csv .*\n  and 2 more$") as caught:
+        read_methods([tmp_path], metric="speed")
+    assert len(str(caught.value).splitlines()) == 7
 
 
 def test_a_shorter_run_of_a_pool_is_named(tmp_path):

@@ -104,7 +104,7 @@ def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
 
 def test_errors_name_the_cause_and_write_nothing(tmp_path, folders):
     out = tmp_path / "a.html"
-    with pytest.raises(ValueError, match=r"none of the runs can be read:\n.*torn.*damaged.*\n.*young"):
+    with pytest.raises(ValueError, match=r"none of the runs can be used:\n.*torn.*damaged.*\n.*young"):
         write_page([folders / "torn", folders / "young"], out)
     assert list(tmp_path.iterdir()) == []
 
