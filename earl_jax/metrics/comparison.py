@@ -126,10 +126,10 @@ def permutation(scores: np.ndarray, others: np.ndarray) -> Comparison:
     """Return mean(`scores`) minus mean(`others`) of independent seeds, [seeds] each, with p of the permutation test.
 
     All splits of the seeds are enumerated, or 20,000 drawn if there are more. The interval is Welch's. There is no p if a
-    score is nan.
+    score is not finite.
     """
     result = welch(Sample.of(scores), Sample.of(others))
-    if min(len(scores), len(others)) < 2 or math.isnan(result.difference):
+    if min(len(scores), len(others)) < 2 or not math.isfinite(result.difference):
         return result
     pooled = np.concatenate([np.asarray(scores, float), np.asarray(others, float)])
     picks, drawn = _splits(len(pooled), len(scores))

@@ -205,8 +205,8 @@ def verdict_text(row: Row, number: Callable[[float], str] = number_text, words: 
     text = str((words or {}).get(row["verdict"]) or row["verdict"])
     if row["verdict"] != CANNOT_TELL:
         return text
-    if math.isnan(row["difference"]):
-        return f"{text}: a score is nan"
+    if not math.isfinite(row["difference"]):
+        return f"{text}: a score is not finite"
     if math.isnan(row["p"]) and row["detectable"] != 0:
         return f"{text}: a test needs two seeds of each"
     if math.isnan(row["detectable"]):

@@ -153,6 +153,12 @@ def test_equal_constant_scores_do_not_differ_and_single_seeds_tell_nothing():
     assert math.isnan(detectable_difference(Sample.of(ones[:1]), Sample.of(zeros)))
 
 
+def test_an_infinite_score_has_no_p():
+    infinite = permutation(np.array([0.1, math.inf, 0.2]), np.zeros(3))
+    assert (infinite.difference, infinite.verdict) == (math.inf, "cannot tell")
+    assert math.isnan(infinite.p)
+
+
 def test_two_seeds_have_a_test_but_no_interval():
     two, five = np.array([0.2, 0.6]), np.zeros(5)
     pair = permutation(two, five)

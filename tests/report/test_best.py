@@ -103,7 +103,7 @@ def test_a_run_whose_score_is_nan_is_not_the_best(tmp_path):
     rows = best([path])
     assert [row["verdict"] for row in rows] == ["best", "below", "cannot tell"]
     assert rows[1]["p_holm"] == rows[1]["p"], "a test without a p counts for nothing"
-    assert "cannot tell: a score is nan" in best_text(rows)
+    assert "cannot tell: a score is not finite" in best_text(rows)
     assert best([path / "diverged"])[0]["verdict"] == "cannot tell"
 
 
