@@ -83,7 +83,7 @@ def gather(
             key = pooling_key(curves.config)
             parts = [*pools.get(key, ()), curves]
             run = pooled(parts)
-            _check_repeated(run, curves.seeds)
+            _check_copied(run, curves.seeds)
             if len(parts) > 1:
                 check(run)
             pools[key], runs[key] = parts, run
@@ -100,15 +100,14 @@ def gather(
     return list(map(_once, runs.values())), left_out
 
 
-def _check_repeated(run: Curves, added: int) -> None:
-    """Raise an InputError if one of the `added` last seeds has the numbers of an earlier one, as in a copied folder."""
+def _check_copied(run: Curves, added: int) -> None:
+    """Raise an InputError if each of the `added` last seeds has the numbers of an earlier one, as in a copied folder."""
     seeds = [(seed, folder.path) for folder in run.runs for seed in folder.config.seeds]
-    lives: dict[tuple[int | bytes, ...], Path] = {}
-    for row, (seed, path) in enumerate(seeds):
-        life = (seed, *(values[row].tobytes() for values in run.metrics.values()))
-        if row >= len(seeds) - added and life in lives:
-            raise InputError(f"{path} has the same numbers of seed {seed} as {lives[life]}; a seed counts once")
-        lives[life] = path
+    lives = [(seed, *(values[row].tobytes() for values in run.metrics.values())) for row, (seed, _) in enumerate(seeds)]
+    earlier, last = lives[:-added], lives[-added:]
+    if set(last) <= set(earlier):
+        seed, path = seeds[earlier.index(last[0])]
+        raise InputError(f"{seeds[-1][1]} has the same numbers of seed {seed} as {path}; a seed counts once")
 
 
 def _once(run: Curves) -> Curves:

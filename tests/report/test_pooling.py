@@ -127,6 +127,15 @@ def test_a_copy_is_left_out_and_a_seed_that_ran_twice_counts_once_by_its_mean(tm
         read_all([run, copy])
 
 
+def test_seeds_of_a_run_that_repeats_others_with_the_same_numbers_are_pooled(tmp_path):
+    scores = rising(3, 3)
+    paths = [
+        write_run(tmp_path / str(seed), TABLETOP, "naive", scores[seed : seed + 2], seeds=(seed, seed + 1))
+        for seed in (0, 1)
+    ]
+    np.testing.assert_array_equal(read_all(paths)[0].metrics["deployed/success"], scores)
+
+
 def test_at_most_five_causes_are_given_where_no_run_can_be_used(tmp_path):
     for number in range(7):
         write_run(tmp_path / str(number), TABLETOP, "naive", rising(1, 1), seeds=(number,))
