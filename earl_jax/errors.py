@@ -60,6 +60,11 @@ def brief(value: Any) -> str:
         return "a number of thousands of digits"
 
 
+def printable(text: str) -> str:
+    """Return `text` with escapes in the place of letters that cannot be printed, which would break a line or hide text."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+
+
 def is_input_error(error: BaseException) -> bool:
     """Return whether the message of `error` says all: invalid input, or a file that cannot be read or written.
 

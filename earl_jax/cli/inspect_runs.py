@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from earl_jax.cli.arguments import Positional, Texts, emit, print_line, replacing
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, printable
 from earl_jax.options.values import counted
 
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ def show(folder: Positional[Path], last: int | None = None, window: int | None =
 def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
     """Return the lines of the summary of `result`, with the mean of every metric over the seeds."""
     from earl_jax.runs.provenance import made_by
-    from earl_jax.training.result import printable
 
     texts = result.summary(window)
     del texts["metrics"]

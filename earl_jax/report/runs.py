@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.envs import PAPER_TASKS, env_class, make
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, printable
 from earl_jax.metrics.continuing import count_diverged
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.options.values import value_text
@@ -176,17 +176,12 @@ def checked_labels(names: Sequence[str], lines: Sequence[str]) -> Sequence[str]:
         raise InputError(
             f"there are {len(names)} labels for {len(lines)} runs; give one for each of: {'; '.join(lines)}"
         )
-    return [_plain(name) for name in names] or lines
+    return [printable(name) for name in names] or lines
 
 
 def label(algo: str, options: dict[str, Any]) -> str:
     """Return the name of a method with `options`."""
     return f"{algo} ({options_text(options)})" if options else algo
-
-
-def _plain(text: str) -> str:
-    """Return `text` with escapes in the place of letters that cannot be printed, which would break a line or hide text."""
-    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
 def by_method(runs: Sequence[Curves]) -> list[Curves]:
@@ -198,4 +193,4 @@ def by_method(runs: Sequence[Curves]) -> list[Curves]:
 
 def options_text(options: dict[str, Any]) -> str:
     """Return options in one line, or `the defaults` if there are none."""
-    return _plain(", ".join(f"{name}={value_text(options[name])}" for name in sorted(options))) or "the defaults"
+    return printable(", ".join(f"{name}={value_text(options[name])}" for name in sorted(options))) or "the defaults"

@@ -13,7 +13,7 @@ import numpy as np
 
 from earl_jax.algos import Method
 from earl_jax.envs import Env
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, printable
 from earl_jax.metrics.scores import DEFAULT, Score, Scores, Window, lifetime_scores
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
@@ -188,11 +188,6 @@ def select_seed(state: Any, i: int) -> Any:
 def _lane(lanes: Any, i: jax.Array) -> Any:
     """Return lane `i`, by one program for all leaves."""
     return jax.tree.map(lambda leaf: leaf[i], lanes)
-
-
-def printable(text: str) -> str:
-    """Return a text of a run folder, which can come from anyone, in printable ASCII."""
-    return text.encode("unicode_escape").decode()
 
 
 def _with_options(name: str, options: dict[str, Any]) -> str:

@@ -37,11 +37,12 @@ def test_a_run_folder_has_its_config_and_metrics(finished):
 
 
 def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
-    folder = shutil.copytree(finished[0], tmp_path / "run", ignore=shutil.ignore_patterns("checkpoints"))
+    folder = shutil.copytree(finished[0], tmp_path / "größe \\", ignore=shutil.ignore_patterns("checkpoints"))
     out = succeed("show", folder)
     shown = [" ".join(line.split()) for line in out.splitlines()]
     method = "method: fbrl (batch_size=16, random_steps=20, hidden_sizes=[16])"
-    assert {method, "seeds: 0, 1", "policies: of step 120", f"in Python: earl_jax.load('{folder}')"} <= set(shown)
+    assert {method, "seeds: 0, 1", "policies: of step 120", f"in Python: earl_jax.load({str(folder)!r})"} <= set(shown)
+    assert f"folder: {folder}" in shown
     printed = json.loads(succeed("show", folder, "--json"))
     assert (printed["step"], printed["finished"], printed["policies"]) == (120, True, 120)
     assert printed["score"]["metric"] == "deployed/success"
