@@ -1,6 +1,7 @@
 """Learning curves as pictures."""
 
 import textwrap
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -30,6 +31,7 @@ from earl_jax.report.style import (
     task_order,
     task_title,
 )
+from earl_jax.runs.files import RunWarning
 
 RELEASED = {"color": "0.55"}
 """The style of the released runs of the paper."""
@@ -182,7 +184,15 @@ def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, style: dict
 
 
 def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool) -> None:
-    """Name the lines below the panels in as many lines of text as needed, with their seeds where all tasks have as many."""
+    """Name the lines below the panels in as many lines of text as needed, with their seeds where all tasks have as many.
+
+    Where styles repeat there is no legend, and a `RunWarning` says so.
+    """
+    styles = COLOUR_COUNT * len(LINE_STYLES)
+    if max(line.number for line in lines) >= styles:
+        text = f"a picture of more than {styles} lines has no legend, because their styles repeat"
+        warnings.warn(text, RunWarning, stacklevel=3)
+        return
     entries: dict[str, dict[str, Any]] = {}
     for line in lines:
         counts = {other.curves.seeds for other in lines if other.number == line.number}

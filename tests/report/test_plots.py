@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from earl_jax.report import plots
 from earl_jax.report.plots import RELEASED, caption, plot_runs
 from earl_jax.report.style import COLOURS, colours, method_order, task_title
+from earl_jax.runs.files import RunWarning
 from tests.cli.process import run
 from tests.report.run_files import DOOR, TABLETOP, rising, write_run
 
@@ -62,6 +64,15 @@ def test_a_metric_smoothing_and_labels(sweep, drawn):
     assert "No smoothing" in caption()
     [axis] = drawn(sweep / DOOR, metric="continuing/alive").axes
     assert axis.get_ylim() == (-0.03, 1.03), "a share is drawn from 0 to 1"
+
+
+def test_lines_whose_styles_repeat_have_no_legend(sweep, drawn, monkeypatch):
+    monkeypatch.setattr(plots, "LINE_STYLES", ["-"])
+    monkeypatch.setattr(plots, "COLOUR_COUNT", 2)
+    assert drawn(sweep).legends
+    monkeypatch.setattr(plots, "COLOUR_COUNT", 1)
+    with pytest.warns(RunWarning, match="a picture of more than 1 lines has no legend"):
+        assert not drawn(sweep).legends
 
 
 def test_a_metric_called_deployed_is_not_the_score(tmp_path, drawn):
