@@ -117,6 +117,10 @@ def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
     assert "| tabletop_organization | one | 2 | 30 | 0.015 |" in out
     assert r"ten & 2 & 30 & 0.015 \\" in (tmp_path / "t.tex").read_text()
     assert "replaced" in run("table", tmp_path / "runs", "--out", tmp_path / "t.tex")[2]
+    data = next(tmp_path.glob("runs/**/metrics.csv"))
+    before = data.read_bytes()
+    assert "is a file of a run; choose another name" in run("table", tmp_path / "runs", "--out", data)[2]
+    assert data.read_bytes() == before
     refusal = "give one for each of: naive (reward_scale=10); naive (reward_scale=1)"
     one_line(run("table", tmp_path / "runs", "--labels", "one"), refusal)
 
