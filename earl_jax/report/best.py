@@ -46,7 +46,7 @@ OPTIMISM = (
 def best(
     folders: Sequence[Path], test: Test = "permutation", window: Window = DEFAULT, metric: str | None = None
 ) -> list[Row]:
-    """Return a row for each method and its options, by task, the best first. Seeds of the same are pooled.
+    """Return a row for each method and its options, by task and metric, the best first. Seeds of the same are pooled.
 
     The best has the highest score by `metric`, a column of metrics.csv; None is the deployed score.
     `verdict` is `best`, `tied` for runs that share the highest score, `below` if the adjusted p of the difference from the best
@@ -54,17 +54,17 @@ def best(
     `least_p` is the smallest adjusted p that the test could give with these numbers of seeds.
 
     Raises:
-        ValueError: no run that can be read has a score by this metric, or runs of a task are scored by different metrics.
+        ValueError: no run that can be read has a score by this metric.
     """
     if test not in TESTS:
         raise InputError(f"unknown test {test!r}; choose from {', '.join(TESTS)}")
-    tasks = grouped(read_methods(folders, window, metric), lambda curves: curves.env)
+    tasks = grouped(
+        read_methods(folders, window, metric), lambda curves: (curves.env, metric or curves.deployed_metric)
+    )
     return [row for runs in tasks.values() for row in _ranked(runs, test, metric)]
 
 
 def _ranked(runs: Sequence[Curves], test: Test, metric: str | None) -> list[Row]:
-    if metric is None and len({curves.deployed_metric for curves in runs}) > 1:
-        raise InputError(f"runs of {runs[0].env} are scored by success and by return; rank them apart")
     longest = max(curves.steps[-1] for curves in runs)
     pairs = [(curves, seed_scores(curves, metric=metric)) for curves in runs]
     pairs.sort(key=lambda pair: (pair[0].steps[-1] < longest, np.isnan(pair[1].mean()), -pair[1].mean()))
@@ -114,10 +114,10 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
     """
     require("top", top, COUNT)
     parts: list[str] = []
-    for env, of_task in grouped(rows, lambda row: row["env"]).items():
+    for (env, metric), of_task in grouped(rows, lambda row: (row["env"], row["metric"])).items():
         hidden = f"{len(of_task) - top} more are not shown. " if len(of_task) > top else ""
         table = Table.of(COLUMNS, of_task[:top], [hidden + _verdict_text(of_task)])
-        parts += [f"{env}, {of_task[0]['metric']}", table.text(width)]
+        parts += [f"{env}, {metric}", table.text(width)]
     rule = RULE.format(test=TESTS[test], window=rows[0]["mean_over"], intervals=INTERVALS)
     notes = [rule, OPTIMISM] if len(rows) > 1 else [rule]
     return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])

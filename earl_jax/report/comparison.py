@@ -75,7 +75,8 @@ def compare(
 
     Runs of the same task, method and options are pooled. Against the released runs there is a row at each of `AGES`.
     `metric` is a column of metrics.csv, such as `deployed/success_wide`; None is the deployed score. The released runs have
-    this and `continuing/reward`. A pair without a common step is left out with a `RunWarning`, as is a run without the metric.
+    this and `continuing/reward`. A pair without a common step or metric is left out with a `RunWarning`, as is a run without
+    `metric`.
 
     Raises:
         ValueError: a folder is no run, it has no such metric, or there is nothing to compare.
@@ -87,16 +88,25 @@ def compare(
         rows = published_rows(runs, metric)
     else:
         pairs = [pair for pair in itertools.combinations(runs, 2) if pair[0].env == pair[1].env]
-        for first, second in (pair for pair in pairs if not common_step(*pair)):
-            apart = f"{first.label} and {second.label} on {first.env} are not compared"
-            warnings.warn(f"{apart}: one ends before the other's first evaluation", RunWarning, stacklevel=2)
-        rows = [pair_row(*pair, metric) for pair in pairs if common_step(*pair)]
+        causes = [_cause_apart(*pair, metric) for pair in pairs]
+        for (first, second), cause in zip(pairs, causes, strict=True):
+            if cause:
+                apart = f"{first.label} and {second.label} on {first.env} are not compared"
+                warnings.warn(f"{apart}: {cause}", RunWarning, stacklevel=2)
+        rows = [pair_row(*pair, metric) for pair, cause in zip(pairs, causes, strict=True) if not cause]
     if not rows:
         choices = "two methods on one task, or --against published"
         if against == "published":
             choices = f"tasks of the paper with {metric}" if metric else "tasks of the paper"
         raise InputError(f"there is nothing to compare; compare needs runs of {choices}")
     return with_verdicts(rows)
+
+
+def _cause_apart(first: Curves, second: Curves, metric: str | None) -> str:
+    """Return why two runs of a task are not compared, or an empty text."""
+    if metric is None and first.deployed_metric != second.deployed_metric:
+        return "one is scored by success and the other by return"
+    return "" if common_step(first, second) else "one ends before the other's first evaluation"
 
 
 def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> list[Row]:
@@ -112,13 +122,7 @@ def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> li
 
 
 def pair_row(first: Curves, second: Curves, metric: str | None = None, age: float = 1.0) -> Row:
-    """Return the comparison of two methods on a task after the share `age` of the steps that both have, p not adjusted.
-
-    Raises:
-        ValueError: one is scored by success and the other by return.
-    """
-    if metric is None and first.deployed_metric != second.deployed_metric:
-        raise InputError(f"{first.label} and {second.label} on {first.env} have different metrics; compare them apart")
+    """Return the comparison of two methods on a task after the share `age` of the steps that both have, p not adjusted."""
     step = common_step(first, second, age)
     assert step is not None
     scores, others = (seed_scores(curves, step, metric) for curves in (first, second))

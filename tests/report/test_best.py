@@ -91,6 +91,16 @@ def test_a_run_without_a_value_of_a_metric_is_left_out_of_the_ranking(tmp_path):
         best([tmp_path / "3", tmp_path / "1"], metric="loss")
 
 
+def test_runs_of_a_task_by_success_and_by_return_are_ranked_by_themselves(tmp_path):
+    for reward, algo in (("sparse", "naive"), ("dense", "naive"), ("dense", "fbrl")):
+        write_run(tmp_path / reward / algo, TABLETOP, algo, constant(*GOOD), env_options={"reward_type": reward})
+    rows = best([tmp_path])
+    assert sorted((row["metric"], row["verdict"]) for row in rows) == [
+        ("deployed/return", "tied"), ("deployed/return", "tied"), ("deployed/success", "best"),
+    ]  # fmt: skip
+    assert best_text(rows).count(f"{TABLETOP}, deployed/") == 2
+
+
 def test_a_shorter_run_comes_last_and_is_not_compared(tmp_path):
     rows = best([write_cells(tmp_path, good_short=GOOD, bad=BAD, close=CLOSE)])
     assert [row["verdict"] for row in rows] == ["best", "below", "shorter"]
