@@ -1,6 +1,7 @@
 """Methods. To add one, add a file and a line to the table of `options.registry`; other packages use `register_algo`."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from earl_jax.envs import Env
 from earl_jax.errors import InputError, brief
 from earl_jax.options.registry import ALGOS, LEARNER, LEARNERS
 from earl_jax.options.schedule import FIELDS
-from earl_jax.options.values import check, require_object, unknown_option
+from earl_jax.options.values import check, require_object
 
 list_algos = ALGOS.names
 """`list_algos()` returns the names that `make_algo` takes, sorted."""
@@ -46,12 +47,34 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     for option, value in options.items():
         if option not in known:
             names = [*sorted({*known, "learner"}), *FIELDS]
-            raise unknown_option(f"method {name!r}", option, value, names, name)
+            raise _unknown_option(f"method {name!r}", option, value, names, name)
     options = {option: _leaf(known[option], value) for option, value in options.items()}
     changed = {option: value for option, value in options.items() if option in shared}
     check(f"method {name!r}", type(base), changed)
     rest = {option: value for option, value in options.items() if option in own}
     return ALGOS.make(name, learner=base.replace(**changed), **rest)
+
+
+def _unknown_option(owner: str, option: str, value: Any, known: Sequence[str], name: str) -> InputError:
+    """Return the error of an `option` that the method `name` lacks: the fix, or the nearest `known` names and where all are.
+
+    Names that are `known` and no options are those of the schedule.
+    """
+    from difflib import get_close_matches
+
+    one = brief(value)
+    if option == "seeds" or option in known:
+        flag = option.replace("_", "-")
+        return InputError(
+            f"{owner} has no option {option!r}; it stands beside the options: {option}={one}, or --{flag} {one}"
+        )
+    if option in ("seed", "n_seeds", "num_seeds"):
+        alone = f" (or seeds=[{one}] for that seed alone)" if option == "seed" else ""
+        return InputError(f"there is no option {option!r}; did you mean seeds={one}{alone}?")
+    near = get_close_matches(option, known, 3)
+    guess = f"did you mean {' or '.join(near)}? " if near else ""
+    lists = f"`earl-jax list {name}` lists its options, `earl-jax list TASK` those of a task"
+    return InputError(f"{owner} has no option {option!r}; {guess}{lists}")
 
 
 def learner_of(options: dict[str, Any]) -> Learner:

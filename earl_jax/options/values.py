@@ -10,7 +10,7 @@ import numbers
 import re
 import time
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError, brief
@@ -82,8 +82,20 @@ def require_object(noun: str, given: Any, kind: type, or_name: bool = True) -> N
         raise InputError(f"the {noun} must be {'a name or ' * or_name}an object, not {brief(given)}{call}")
 
 
+def _check_defaults(owner: str, cls: type) -> None:
+    """Raise an InputError if the class sets a field in a way that the dataclass ignores: the default would be another."""
+    for field in dataclasses.fields(cls):
+        default = field.default
+        if default is not dataclasses.MISSING and getattr(cls, field.name, default) is not default:
+            fix = (
+                f"write `{field.name}: TYPE = ...`, and for a task @dataclasses.dataclass(frozen=True) above the class"
+            )
+            raise InputError(f"{owner}: the value of {field.name} in {cls.__name__} is no default; {fix}")
+
+
 def check_intervals(owner: str, options: Any) -> None:
     """Check the fields of the dataclass `options` that declare an interval; None is always valid. Errors as `check`."""
+    _check_defaults(owner, type(options))
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
         if "interval" in field.metadata and value is not None:
@@ -132,34 +144,13 @@ def check_storable(owner: str, values: Any, depth: int = 0) -> None:
 KINDS = {bool: "true or false", int: "a whole number of at least 0", float: "a finite number", str: "text"}
 
 
-def unknown_option(owner: str, option: str, value: Any, known: Sequence[str], name: str) -> InputError:
-    """Return the error of an `option` that the method `name` lacks: the fix, or the nearest `known` names and where all are.
-
-    Names that are `known` and no options are those of the schedule.
-    """
-    from difflib import get_close_matches
-
-    one = brief(value)
-    if option == "seeds" or option in known:
-        flag = option.replace("_", "-")
-        return InputError(
-            f"{owner} has no option {option!r}; it stands beside the options: {option}={one}, or --{flag} {one}"
-        )
-    if option in ("seed", "n_seeds", "num_seeds"):
-        alone = f" (or seeds=[{one}] for that seed alone)" if option == "seed" else ""
-        return InputError(f"there is no option {option!r}; did you mean seeds={one}{alone}?")
-    near = get_close_matches(option, known, 3)
-    guess = f"did you mean {' or '.join(near)}? " if near else ""
-    lists = f"`earl-jax list {name}` lists its options, `earl-jax list TASK` those of a task"
-    return InputError(f"{owner} has no option {option!r}; {guess}{lists}")
-
-
 def check(owner: str, factory: type, options: Mapping[str, Any]) -> None:
     """Check that the dataclass `factory` has every option, and that each value has its type, or that of its default.
 
     Raises:
         ValueError: an option is unknown or has the wrong type; the message names `owner`, the option and the valid choices.
     """
+    _check_defaults(owner, factory)
     fields, types = {field.name: field for field in dataclasses.fields(factory)}, dict(_annotations(factory))
     for option, value in options.items():
         if option not in fields:

@@ -10,10 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from earl_jax import InputError, make, make_algo, train
+from earl_jax import SAC, InputError, make, make_algo, train
+from earl_jax.algos.naive import Naive
 from earl_jax.cli.arguments import parse_minutes, parse_options
 from earl_jax.options.values import Interval, TimeLimit, check, check_literals, parse_whole
-from earl_jax.protocol import setting_of
+from earl_jax.protocol import Deployment, setting_of
+from tests.envs.chain import Chain
 
 
 @dataclasses.dataclass
@@ -139,6 +141,18 @@ def test_objects_are_checked_where_they_are_trained(discount):
     method = make_algo("naive")
     with pytest.raises(InputError, match=rf"naive: discount must lie in \[0, 1\), not {discount!r}"):
         train("tabletop_organization", method.replace(learner=method.learner.replace(discount=discount)), steps=10)
+
+
+def test_a_value_in_a_class_that_its_dataclass_ignores_is_refused():
+    """Such a class used to train with the default of its base."""
+    near = dataclasses.make_dataclass("Near", [], bases=(Chain,), namespace={"eval_horizon": 20}, frozen=True)
+    patient = type("Patient", (Naive,), {"learner": SAC(random_steps=0)})
+    wordy = type("Wordy", (Deployment,), {"alive_steps": 5})
+    for build in (near, type("Near", (Chain,), {"eval_horizon": 20}), lambda: train(Chain(), patient()), wordy):
+        with pytest.raises(
+            InputError, match=r"the value of \w+ in (Near|Patient|Wordy) is no default; write `\w+: TYPE"
+        ):
+            build()
 
 
 @pytest.mark.parametrize(
