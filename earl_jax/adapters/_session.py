@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs import Env, for_lanes, make, start_of
-from earl_jax.envs.base import check_goals
+from earl_jax.envs.checks import check_task
 from earl_jax.envs.starts import STARTS
 from earl_jax.envs.state import tree_where
 from earl_jax.envs.wrappers.help_budget import without_help
@@ -79,7 +79,7 @@ class Session:
         if self.is_training and self.starts != STARTS[0]:
             raise InputError(f"starts={self.starts!r} is for episodes, mode 'eval'; a lifetime starts from s0 ~ rho")
         start_of(self.env, self.starts)
-        check_goals(self.env)
+        check_task(self.env)
 
     @classmethod
     def of(

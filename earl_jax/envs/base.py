@@ -2,7 +2,6 @@
 
 import abc
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -14,7 +13,7 @@ from jax.core import Tracer
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State, all_finite, random_row
-from earl_jax.errors import InputError, brief
+from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, check_literals, require
 from earl_jax.physics import PendingStep
@@ -218,7 +217,13 @@ class Env(abc.ABC):
         return after.replace(obs=jnp.where(jnp.isfinite(action).all(), after.obs, jnp.nan))
 
     def make_state(self, data: Any, vector: jax.Array, info: dict[str, jax.Array]) -> State:
-        """Return the `State` with physics `data`, state vector `vector [s]` and `info`, which holds the `goal [g]`."""
+        """Return the `State` with physics `data`, state vector `vector [s]` and `info`, which holds the `goal [g]`.
+
+        Raises:
+            ValueError: the vector has another shape.
+        """
+        if jnp.shape(vector) != (self.state_size,):
+            raise InputError(f"{self.name}: a state vector has shape {jnp.shape(vector)}, not {(self.state_size,)}")
         obs, zero = jnp.concatenate([vector, info["goal"]]), jnp.zeros(())
         metrics = {"success": self.success(obs).astype(jnp.float32)}
         state = State(data=data, obs=obs, reward=zero, done=zero, metrics=metrics, info=info)
@@ -247,18 +252,6 @@ class Env(abc.ABC):
         Override it if the reward needs more of `state` than its obs.
         """
         return self.reward(self.with_goal(state, goal).obs)
-
-
-@functools.cache
-def check_goals(env: Env) -> None:
-    """Raise an InputError unless `goal_states` and `initial_states` of `env` have rows of finite numbers, of one length."""
-    tables = {name: getattr(env, name) for name in ("goal_states", "initial_states")}
-    for name, table in tables.items():
-        if getattr(table, "ndim", 0) != 2 or not len(table) or not np.isfinite(table).all():
-            raise InputError(f"{env.name}: {name} must be an array with rows of finite numbers, not {brief(table)}")
-    if len({table.shape[1] for table in tables.values()}) > 1:
-        shapes = " and ".join(f"{name} {list(table.shape)}" for name, table in tables.items())
-        raise InputError(f"{env.name}: rows of goals and initial states have one length, not {shapes}")
 
 
 def _box(bound: float, size: int) -> "Box":

@@ -11,7 +11,7 @@ from flax import struct
 from earl_jax.algos.goals import GoalIndices, Goals, goal_table
 from earl_jax.algos.learner.replay import Replay
 from earl_jax.envs import Env, State
-from earl_jax.envs.base import check_goals
+from earl_jax.envs.checks import check_task
 from earl_jax.envs.state import struct_text
 from earl_jax.metrics.continuing import Counters
 from earl_jax.protocol import Protocol, Rules
@@ -88,7 +88,7 @@ class Problem:
     steps: int | None = None
 
     def __post_init__(self):
-        check_goals(self.env)
+        check_task(self.env)
 
     def __repr__(self) -> str:
         sizes = f"obs [{self.env.observation_size}], action [{self.env.action_size}], steps {self.steps}"

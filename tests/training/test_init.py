@@ -9,7 +9,6 @@ import pytest
 
 import earl_jax
 from earl_jax import assets
-from earl_jax.adapters.gymnasium import ResetFreeEnv
 from earl_jax.algos import Method, Phase
 from earl_jax.algos.learner import replay
 from earl_jax.algos.method import BACKWARD, FORWARD
@@ -19,7 +18,6 @@ from earl_jax.training.init import demo_rows, empty_replay
 from earl_jax.training.runner import _init
 from earl_jax.training.state import Problem, seed_keys
 from tests.conftest import RUN_STEPS, make_train_state, take_lane, tiny_method
-from tests.envs.chain import Chain
 
 
 @pytest.mark.parametrize(("algo", "reward_type"), [("fbrl", "sparse"), ("vaprl", "sparse"), ("vaprl", "dense")])
@@ -123,17 +121,6 @@ def test_a_demo_file_that_cannot_be_used_is_refused_before_training(task, file, 
         with pytest.raises(InputError, match=message):
             earl_jax.train(make(task, demo_file=file), algo, seeds=2, steps=40, eval_every=40, out=tmp_path / "run")
         assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize(
-    ("name", "table"),
-    [("goal_states", [[0.0], [np.nan]]), ("initial_states", [[np.inf]]), ("initial_states", [[0.0, 0.0]])],
-)
-def test_goals_that_are_not_finite_or_do_not_fit_are_refused_by_training_and_by_adapters(name, table):
-    env = type("Odd", (Chain,), {name: np.array(table, np.float32)})()
-    for use in (lambda: earl_jax.train(env, "naive", seeds=1, steps=40, eval_every=40), lambda: ResetFreeEnv(env)):
-        with pytest.raises(InputError, match=f"chain: .*{name}"):
-            use()
 
 
 @pytest.mark.parametrize("all_demos", [False, True])

@@ -1,0 +1,46 @@
+"""Checks of a task before it is used: its goals, and what its functions of an observation return."""
+
+import functools
+
+import jax
+import numpy as np
+
+from earl_jax.envs.base import Env
+from earl_jax.errors import InputError, brief
+
+
+@functools.cache
+def check_task(env: Env) -> None:
+    """Check the goals of `env` and its functions of `obs`.
+
+    Raises:
+        ValueError: `goal_states` and `initial_states` do not have rows of finite numbers of one length, `success` or
+            `reward` returns another shape or type, or a sparse reward is not the success bit.
+    """
+    tables = {name: getattr(env, name) for name in ("goal_states", "initial_states")}
+    for name, table in tables.items():
+        is_table = isinstance(table, np.ndarray) and table.ndim == 2 and table.dtype.kind in "fiu" and len(table)
+        if not is_table or not np.isfinite(table).all():
+            raise InputError(
+                f"{env.name}: {name} must be a NumPy array with rows of finite numbers, not {brief(table)}"
+            )
+    if len({table.shape[1] for table in tables.values()}) > 1:
+        shapes = " and ".join(f"{name} {list(table.shape)}" for name, table in tables.items())
+        raise InputError(f"{env.name}: rows of goals and initial states have one length, not {shapes}")
+    _check_functions(env)
+
+
+def _check_functions(env: Env) -> None:
+    """Check what `success` and `reward` of `env` return for a batch of observations. Errors as `check_task`."""
+    states = np.full((len(env.goal_states), env.state_size), 0.5)
+    obs = np.concatenate([states, env.goal_states], axis=1, dtype=np.float32)[None]
+    for name, kind in (("success", "bool"), ("reward", "number")):
+        result = jax.eval_shape(getattr(env, name), obs)
+        if result.shape != obs.shape[:2] or (kind == "bool" and result.dtype != bool):
+            expected = f"must return {kind}{list(obs.shape[:2])} for obs {list(obs.shape)}"
+            raise InputError(f"{env.name}: {name} {expected}, not {result.dtype}{list(result.shape)}")
+    if env.sparse:
+        bits, rewards = map(np.asarray, jax.jit(lambda obs: (env.success(obs), env.reward(obs)))(obs))
+        if (bits != rewards).any():
+            pair = f"reward is {brief(rewards)} where success is {brief(bits)}"
+            raise InputError(f"{env.name}: a sparse reward is the success bit, but {pair}; or use reward_type='dense'")

@@ -1,0 +1,40 @@
+"""A task with odd goals or functions is refused before it is used."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import earl_jax
+from earl_jax.adapters.gymnasium import ResetFreeEnv
+from earl_jax.errors import InputError
+from tests.envs.chain import Chain
+
+
+@pytest.mark.parametrize(
+    ("member", "value", "message"),
+    [
+        ("goal_states", np.array([[0.0], [np.nan]]), "goal_states must be a NumPy array with rows of finite numbers"),
+        ("goal_states", np.array([["a"]]), "goal_states must be a NumPy array"),
+        ("goal_states", property(lambda env: jnp.ones((1, 1))), "goal_states must be a NumPy array"),
+        ("initial_states", np.array([[np.inf]]), "initial_states must be a NumPy array"),
+        ("initial_states", np.zeros((1, 2)), r"one length, not goal_states \[2, 1\] and initial_states \[1, 2\]"),
+        ("success", lambda env, obs: 1.0 * (obs[..., 0] == obs[..., 1]), r"success must return bool\[1, 2\] .*float32"),
+        ("success", lambda env, obs: obs[0] == obs[1], r"success must return bool\[1, 2\] .* not bool\[2, 2\]"),
+        ("success", lambda env, obs: False, r"success must return bool\[1, 2\] for obs \[1, 2, 2\], not bool\[\]"),
+        ("reward", lambda env, obs: obs[..., :1], r"reward must return number\[1, 2\] .*not float32\[1, 2, 1\]"),
+        ("reward", lambda env, obs: -jnp.abs(obs[..., 0] - obs[..., 1]), "the success bit, but reward is .*'dense'"),
+    ],
+)  # fmt: skip
+def test_odd_goals_and_functions_are_refused_by_training_and_by_adapters(member, value, message):
+    """A negative distance as the sparse reward used to train on the success bit without a word."""
+    env = type("Odd", (Chain,), {member: value})()
+    for use in (lambda: earl_jax.train(env, "naive", seeds=1, steps=40, eval_every=40), lambda: ResetFreeEnv(env)):
+        with pytest.raises(InputError, match=f"chain: .*{message}"):
+            use()
+
+
+def test_a_state_vector_of_another_size_is_refused():
+    env = type("Long", (Chain,), {"state_size": 2})()
+    with pytest.raises(InputError, match=r"chain: a state vector has shape \(1,\), not \(2,\)"):
+        env.reset(jax.random.key(0))
