@@ -98,6 +98,10 @@ def check_intervals(owner: str, options: Any) -> None:
     _check_defaults(owner, type(options))
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
+        if not field.metadata.get("pytree_node", True) and getattr(value, "shape", ()):  # a program is looked up by it
+            raise InputError(
+                f"{owner}: {field.name} must be a plain value, such as a tuple, not the array {brief(value)}"
+            )
         if "interval" in field.metadata and value is not None:
             require(f"{owner}: {field.name}", value, field.metadata["interval"])
 

@@ -12,7 +12,7 @@ from jax.sharding import Mesh
 
 from earl_jax.algos import Method
 from earl_jax.envs import resolved_engine
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.options.schedule import require_whole_windows
 from earl_jax.runs.files import RunWarning
 from earl_jax.training import memory
@@ -93,13 +93,19 @@ def per_lane(options: Options, lanes: int) -> Options:
     """Return a method, or a learner, with every float leaf as an array [lanes]; a leaf of that shape keeps its values.
 
     Raises:
-        ValueError: a leaf is neither a scalar nor of length `lanes`; the message names its option.
+        ValueError: a leaf is text, or neither a scalar nor of length `lanes`; the message names its option.
     """
 
     def broadcast(path, leaf):
+        name = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("learner.")
+        if isinstance(leaf, str):
+            mark = f"`{name}: str = flax.struct.field(pytree_node=False, default=...)`"
+            raise InputError(
+                f"{name} is {brief(leaf)}, no number that can differ between lanes; mark the field: {mark}"
+            )
         shape = jnp.shape(leaf)
         if shape not in ((), (lanes,)):
-            raise InputError(f"{path[-1].name} has shape {shape}; pass one value, or one for each of {lanes} lanes")
+            raise InputError(f"{name} has shape {shape}; pass one value, or one for each of {lanes} lanes")
         dtype = jnp.bool_ if jnp.issubdtype(jnp.result_type(leaf), jnp.bool_) else jnp.float32
         return jnp.broadcast_to(jnp.asarray(leaf, dtype), (lanes,))
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
 from earl_jax import SAC, InputError, make, make_algo, train
 from earl_jax.algos.naive import Naive
@@ -153,6 +154,25 @@ def test_a_value_in_a_class_that_its_dataclass_ignores_is_refused():
             InputError, match=r"the value of \w+ in (Near|Patient|Wordy) is no default; write `\w+: TYPE"
         ):
             build()
+
+
+def test_options_of_an_object_that_no_program_can_hold_are_named():
+    """An array as a static option trained once, and failed in jax with the next array; text failed in jax."""
+
+    class Marked(Naive):
+        weights: object = struct.field(pytree_node=False, default=None)
+        word: object = 0.0
+
+    for method, message in (
+        (
+            Marked(weights=np.zeros(2)),
+            r"naive: weights must be a plain value, such as a tuple, not the array \[0.0, 0.0\]",
+        ),
+        (Marked(word="fast"), "word is 'fast', no number .* mark the field: `word: str = flax.struct.field"),
+        (Marked(word=(0.5, np.zeros(3))), r"word.1 has shape \(3,\); pass one value, or one for each of 2 lanes"),
+    ):
+        with pytest.raises(InputError, match=message):
+            train(Chain(), method, seeds=2, steps=10)
 
 
 @pytest.mark.parametrize(
