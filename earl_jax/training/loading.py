@@ -55,13 +55,18 @@ def load_policies(folder: RunFolder) -> Policy:
         return jax.vmap(functools.partial(Policy.of, env))(method, lanes)
     obs_size, action_size, budget_at = _sizes(folder)
     helped = budget_at is not None
-    learner = per_lane(_learner(folder.config), len(folder.config.seeds))
+    learner, unknown = _learner(folder.config)
+    learner = per_lane(learner, len(folder.config.seeds))
 
     def actor(learner: Learner) -> object:
         return learner.deployed(learner.init(jax.random.key(0), obs_size + helped, action_size + helped))
 
     like = jax.eval_shape(jax.vmap(actor), learner)
-    return Policy(learner, policies.load_policies(folder.policies, like), obs_size, action_size, budget_at)
+    try:
+        actors = policies.load_policies(folder.policies, like)
+    except InputError as error:
+        raise InputError(f"{error}{unknown}") from error
+    return Policy(learner, actors, obs_size, action_size, budget_at)
 
 
 def _sizes(folder: RunFolder) -> tuple[int, int, int | None]:
@@ -77,12 +82,12 @@ def _sizes(folder: RunFolder) -> tuple[int, int, int | None]:
     return task.observation_size, task.action_size, task.state_size if helped else None
 
 
-def _learner(config: RunConfig) -> Learner:
-    """Return the learner of a run; if the class of its method is not registered here, the one that its options describe."""
+def _learner(config: RunConfig) -> tuple[Learner, str]:
+    """Return the learner of a run, or the one that its options describe, and why the defaults of its method are unknown."""
     try:
-        return config.build_method().learner
-    except InputError:
-        return learner_of(config.options)
+        return config.build_method().learner, ""
+    except InputError as error:
+        return learner_of(config.options), f"; {error}"
 
 
 def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:

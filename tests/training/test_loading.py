@@ -110,6 +110,9 @@ def test_a_run_of_classes_that_are_not_registered_here_can_be_read(trained, bare
     assert "task: meadow" in repr(loaded)
     with pytest.raises(ValueError, match="unknown task 'meadow'"):
         _ = loaded.env
+    change_config(bare.path, options={})
+    with pytest.raises(ValueError, match=r"is not float32\[.*; unknown method 'patient'"):  # its defaults are not known
+        _ = earl_jax.load(bare.path).policies
     change_config(bare.path, setting={"name": "deployment", "budget": 5.0})
     with pytest.raises(ValueError, match="unknown task 'meadow'"):
         _ = earl_jax.load(bare.path).policies
