@@ -19,7 +19,7 @@ from earl_jax.options.registry import LEARNER, NOUNS, class_name
 from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import check_intervals, check_storable
-from earl_jax.protocol import Deployment, Protocol, Setting, setting_of, split_setting
+from earl_jax.protocol import SETTINGS, Deployment, Protocol, Setting, setting_of, split_setting
 from earl_jax.runs.files import RunWarning
 
 RESERVED = frozenset({"env", "name"})
@@ -90,10 +90,14 @@ class RunConfig:
         """Return the config of built objects, whose `eval_every` is at most the steps of `schedule`.
 
         Raises:
-            InputError: an option is outside its interval, or a number of `schedule` or a seed is invalid.
+            InputError: an option is outside its interval, a number of `schedule` or a seed is invalid, or the setting is an
+                object of another class, whose name would build an object of ours.
         """
         schedule.check()
         task, setting = split_setting(env, setting)
+        if type(setting) not in SETTINGS.values():
+            known = " or ".join(cls.__name__ for cls in SETTINGS.values())
+            raise InputError(f"the setting of a run must be an object of {known}, not of {type(setting).__name__}")
         parts = [(task.name, task), (method.name, method), (method.name, method.learner), (setting.name, setting)]
         for owner, options in parts:
             check_intervals(owner, options)

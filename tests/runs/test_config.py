@@ -9,7 +9,8 @@ import pytest
 import earl_jax
 from earl_jax.algos.naive import Naive
 from earl_jax.envs import HelpBudget
-from earl_jax.protocol import Continuing, Deployment
+from earl_jax.errors import InputError
+from earl_jax.protocol import Continuing, Deployment, Setting
 from earl_jax.runs.config import RunConfig
 from tests.conftest import assert_equal_trees, make_config, tiny_method, tiny_options
 
@@ -45,6 +46,13 @@ def test_the_setting_and_its_budget_are_restored(env):
     assert config.build_env() == HelpBudget(env, budget=5.0)
     assert config.build_setting() == Continuing(goal_change=7, budget=5.0)
     assert config.protocol(config.build_env()).goal_change == 7
+
+
+@pytest.mark.parametrize("cls", [type("Rare", (Deployment,), {}), Setting])
+def test_a_setting_of_another_class_is_refused(cls):
+    """Its run could not be resumed, or had the numbers of the setting with its name."""
+    with pytest.raises(InputError, match=f"must be an object of Deployment or Continuing, not of {cls.__name__}"):
+        earl_jax.train("tabletop_organization", setting=cls(), steps=10)
 
 
 def test_an_explicit_h_t_is_restored_and_a_config_without_it_keeps_its_h_t(env):
