@@ -15,6 +15,7 @@ from jax.sharding import Mesh
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
 from earl_jax.envs import Env, chosen_engine, for_lanes, without_budget
+from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.values import TimeLimit
 from earl_jax.protocol import Protocol, Rules, Setting
@@ -168,6 +169,7 @@ def _train_to_end(
 ) -> TrainState:
     """Return the final state, or the one at a time limit, trained from `step`. Errors as `run_program`."""
     start = step
+    _require_goals(plan, method, state)
     if step == plan.steps:
         _record_length(plan, runs)
     while step < plan.steps:
@@ -215,6 +217,15 @@ def _train_to_evaluation(
     return state
 
 
+def _require_goals(plan: Plan, method: Method, state: TrainState) -> None:
+    """Raise an InputError if a goal that a lane of `state` has from `next_goal` is no index into the goal table."""
+    count = len(plan.problem.goals.table)
+    for indices in gathered(state.lanes.goal_indices):
+        if ((indices < 0) | (indices >= count)).any():
+            given = f"next_goal returned the indices {brief(indices)}"
+            raise InputError(f"{method.name}: {given} for its lanes; those of this task's goals are 0 to {count - 1}")
+
+
 def _evaluate_runs(
     plan: Plan, method: Method, runs: Sequence[Run], state: TrainState, step: int, bar: Progress
 ) -> TrainState:
@@ -222,6 +233,7 @@ def _evaluate_runs(
     with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
         state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
         metrics = {name: as_decimals(values) for name, values in gathered(metrics).items()}
+    _require_goals(plan, method, state)
     save_policies_of(runs, state, step)
     for run, span in _with_lanes(runs):
         run.add(step, {name: values[span] for name, values in metrics.items()})

@@ -7,6 +7,7 @@ import pytest
 
 import earl_jax
 from earl_jax import SAC, Continuing
+from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.errors import InputError
@@ -16,6 +17,7 @@ from earl_jax.runs.config import method_options
 from earl_jax.training import select_seed, split_options, train
 from tests.cli.process import run
 from tests.conftest import ALGOS, assert_all_finite, make_train_state, tiny_method, tiny_train, without_shares
+from tests.envs.chain import Chain
 
 
 @pytest.mark.parametrize("algo", ALGOS)
@@ -109,6 +111,21 @@ def test_options_are_split_into_task_setting_and_method():
 def test_an_unknown_misplaced_or_invalid_argument_is_refused_with_the_fix(options, message, no_training):
     with pytest.raises(InputError, match=message):
         train(**{"env": "tabletop_organization", "algo": "fbrl", **options})
+
+
+@pytest.mark.parametrize(("first", "later"), [(3, 0), (0, -1)])
+def test_a_goal_outside_the_goal_table_ends_training(first, later):
+    """jax would take the nearest index: such a method used to train on another goal without a word."""
+
+    class Stray(Naive):
+        name = "stray"
+
+        def next_goal(self, key, goals, phase, current, method_state):
+            index = jnp.where(current.goal == current.task, first, later)
+            return GoalIndices(goal=index, task=jnp.where(index == 0, 1, 0))
+
+    with pytest.raises(InputError, match=rf"stray: next_goal returned the indices .*{first or later}.*are 0 to 2"):
+        train(Chain(), Stray(episode_length=5), seeds=1, steps=20, eval_every=20, eval_episodes=1)
 
 
 def test_the_method_of_a_result_trains_again_under_the_options_that_it_had(tmp_path):
