@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax import assets
+from earl_jax.errors import InputError
 from earl_jax.physics.state import PhysicsState
 
 INVWEIGHT = "invweight:"
@@ -31,12 +32,16 @@ def load_model(name: str, timestep: float | None = None) -> Any:
     with a time step of `REFERENCE` behaves nearly alike at longer ones.
 
     Raises:
-        ValueError: there is no such file; the message lists the choices.
+        ValueError: there is no such file, and the message lists the choices, or MuJoCo cannot compile it.
     """
     mujoco: Any = importlib.import_module("mujoco")
-    spec = mujoco.MjSpec.from_file(str(assets.mjcf(name)))
-    spec.compiler.discardvisual = True
-    model = spec.compile()
+    path = assets.mjcf(name)
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.discardvisual = True
+        model = spec.compile()
+    except ValueError as error:
+        raise InputError(f"{path} is no model that MuJoCo compiles: {' '.join(str(error).split())}") from error
     numbers = {number.name: number.data for number in map(model.numeric, range(model.nnumeric))}
     for key, data in numbers.items():
         if key.startswith(INVWEIGHT):

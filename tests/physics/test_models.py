@@ -9,6 +9,7 @@ import pytest
 
 from earl_jax import physics
 from earl_jax.envs import make
+from earl_jax.errors import InputError
 from earl_jax.rendering.overlays import with_overlay
 from tests.envs.programs import first_state, program
 
@@ -19,6 +20,14 @@ def test_mujoco_draws_gripper_and_mug_at_their_observed_positions(env):
     for body, part in (("gripper", slice(0, 2)), ("mug", slice(2, 4))):
         np.testing.assert_allclose(data.xpos[model.body(body).id][:2], moved.obs[part], atol=1e-6)
     assert (model.nu, data.ncon) == (0, 0)
+
+
+@pytest.mark.parametrize("body", ["<body>", "<body><joint/></body>"])
+def test_a_file_that_mujoco_cannot_compile_is_named(body, tmp_path):
+    file = tmp_path / "mine.xml"
+    file.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    with pytest.raises(InputError, match=rf"{file} is no model that MuJoCo compiles: .*[Ll]ine.*1"):
+        physics.load_model(str(file))
 
 
 def test_coasters_are_drawn_at_the_goals_and_not_simulated(env):
