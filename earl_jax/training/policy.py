@@ -63,14 +63,19 @@ class Policy(struct.PyTreeNode, eq=False):
         """Return the greedy action [..., a] at `obs [..., o]`.
 
         Raises:
-            ValueError: `obs` has another size.
+            ValueError: `obs`, or the action of a learner, has another size.
         """
         obs = jnp.asarray(obs, jnp.float32)
         if obs.shape[-1:] != (self.obs_size,):
             raise InputError(f"obs has shape {obs.shape}, this policy takes (..., {self.obs_size})")
         if self.budget_at is not None:
             obs = jnp.insert(obs, self.budget_at, FULL_BUDGET, axis=-1)
-        return self.learner.greedy(self.actor, obs)[..., : self.action_size]
+        action, size = self.learner.greedy(self.actor, obs), self.action_size + (self.budget_at is not None)
+        if action.shape[-1:] != (size,):
+            raise InputError(
+                f"greedy of {self.learner.name!r} returns {list(action.shape)}, and an action has {size} numbers"
+            )
+        return action[..., : self.action_size]
 
     def numpy(self) -> NumpyPolicy:
         """Return this policy in plain NumPy, which acts, is saved and is loaded without jax.

@@ -10,7 +10,7 @@ import pytest
 
 import earl_jax
 from benchmarks import pretrained as packing
-from earl_jax import assets
+from earl_jax import SAC, assets
 from earl_jax.envs import HelpBudget, make
 from earl_jax.metrics.deployed import deployed
 from earl_jax.runs.folder import RunFolder
@@ -105,6 +105,20 @@ def test_another_seed_is_another_policy_and_the_description_is_the_callers_own()
 def test_unknown_names_list_the_choices(arguments, message):
     with pytest.raises(ValueError, match=message):
         earl_jax.pretrained(*arguments)
+
+
+def test_a_greedy_action_of_another_size_is_refused():
+    """A learner that returned the deviations too used to be cut to the size of the action without a word."""
+
+    class Wide(SAC):
+        name = "wide"
+
+        def greedy(self, actor, obs):
+            return jnp.zeros((*obs.shape[:-1], 6))
+
+    env = make(NAME)
+    with pytest.raises(ValueError, match=r"greedy of 'wide' returns \[2, 6\], and an action has 3 numbers"):
+        Policy.of_actor(env, Wide(), None)(jnp.zeros((2, env.observation_size)))
 
 
 def test_an_actor_survives_its_arrays_up_to_rounding():
