@@ -200,7 +200,7 @@ class Env(abc.ABC):
 
     def _checked_action(self, action: jax.Array) -> jax.Array:
         """Return `action [a]` as float32 clipped to [-1, 1]. Errors as `step`."""
-        shape, expected = jnp.shape(action), (self.action_size,)
+        shape, expected = np.shape(action), (self.action_size,)
         if shape != expected:
             raise InputError(f"action has shape {shape}, this task takes {expected}; for a batch of lanes use jax.vmap")
         if not isinstance(action, Tracer) and not np.isfinite(np.asarray(action)).all():
@@ -240,8 +240,8 @@ class Env(abc.ABC):
         Raises:
             ValueError: the goal has another shape.
         """
-        if jnp.shape(goal) != (self.goal_size,):
-            raise InputError(f"goal has shape {jnp.shape(goal)}, this task takes {(self.goal_size,)}")
+        if np.shape(goal) != (self.goal_size,):
+            raise InputError(f"goal has shape {np.shape(goal)}, this task takes {(self.goal_size,)}")
         goal = jnp.asarray(goal, jnp.float32)
         obs = jnp.concatenate([state.obs[: self.state_size], goal])
         return state.replace(obs=obs, info={**state.info, "goal": goal})

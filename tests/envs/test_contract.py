@@ -1,6 +1,7 @@
 """The contract of an env, for every task of the registry; the numbers of the paper, faults and limits in tables by task."""
 
 import dataclasses
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -231,6 +232,15 @@ def test_bad_actions_are_refused(name):
         action[-1] = bad
         with pytest.raises(ValueError, match=message):
             env.step(first_state(env), action)
+
+
+def test_actions_and_goals_can_be_lists(env):
+    """jax warned that it will refuse them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        moved = env.step(first_state(env), [0.0] * env.action_size)
+        goal = env.goal_states[1].tolist()
+        np.testing.assert_array_equal(env.with_goal(moved, goal).info["goal"], env.goal_states[1])
 
 
 @EVERY_TASK
