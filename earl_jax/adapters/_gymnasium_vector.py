@@ -40,7 +40,7 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         """Make `num_envs` lanes with `autoreset_mode`; the other arguments and errors are those of `ResetFreeEnv`."""
         require("num_envs", num_envs, COUNT)
         self.num_envs = num_envs
-        self._open(Session.of(task, lanes=num_envs, **options), render_mode, width, height)
+        self._open(Session.of(task, num_envs, **options), render_mode, width, height)
         env = self.session.env
         self.single_observation_space, self.single_action_space = env.observation_space, env.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -86,6 +86,7 @@ class Session:
         cls,
         task: str | Env,
         lanes: int = 1,
+        /,
         mode: str = "train",
         setting: str | Setting = Deployment.name,
         attempt_steps: int = ATTEMPT_STEPS,
