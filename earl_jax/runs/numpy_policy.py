@@ -9,7 +9,7 @@ FULL_BUDGET = 1.0
 """The share of the budget for help at which a policy acts, where nothing is charged."""
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
+@dataclasses.dataclass(frozen=True, repr=False, eq=False)
 class NumpyPolicy:
     """The greedy policy `policy(obs [..., o]) -> action [..., a]`, float32: tanh of the first outputs of a ReLU network.
 

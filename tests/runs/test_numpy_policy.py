@@ -43,6 +43,7 @@ def test_an_actor_of_every_learner_acts_the_same_in_numpy(env, kind, options):
     numpy = policy.numpy()
     assert (type(numpy(OBS)), numpy(OBS).dtype, numpy(OBS).shape) == (np.ndarray, np.float32, (2, 3, 3))
     np.testing.assert_allclose(numpy(OBS), jax.jit(policy)(OBS), atol=1e-5)
+    assert len({numpy, policy.numpy()}) == 2
     assert repr(numpy) == "NumpyPolicy(obs [..., 12] -> action [..., 3], 16-8)"
     with pytest.raises(ValueError, match=r"obs has shape \(11,\), this policy takes \(..., 12\)"):
         numpy(np.zeros(11))
