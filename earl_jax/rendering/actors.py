@@ -78,7 +78,7 @@ def actor_of(source: str | Path, acting: str | None = None, seed: int = 0, metho
 
 def is_run(source: str | Path) -> bool:
     """Return whether `source` is a run folder."""
-    return (Path(source) / "config.json").is_file()
+    return (Path(str(source)) / "config.json").is_file()
 
 
 def _env_and_policy(source: str | Path, seed: int, method: str | None) -> tuple[Env, Policy | None]:

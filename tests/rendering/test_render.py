@@ -90,6 +90,7 @@ def test_a_sheet_shows_six_moments(graphics, tmp_path, expert_episode):
     ("options", "message"),
     [
         ({"source": "nowhere"}, "neither a run folder nor a task; the tasks are cheetah_run"),
+        ({"source": make(TASK)}, r"TabletopOrganization\(.*is neither a run folder nor a task"),
         ({"out": "x.webm"}, r"suffix '.webm'; for tabletop_organization choose from .mp4, .gif, .webp, .png"),
         ({"source": "all", "out": "x.mp4"}, "for all choose from .png"),
         ({"acting": "policy"}, "no acting 'policy'; choose from expert, demos, random"),
