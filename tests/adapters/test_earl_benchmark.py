@@ -169,6 +169,9 @@ def test_unsupported_calls_are_refused_and_the_peg_ignores_wide_starts():
         earl_benchmark.EARLEnvs("minitaur").get_demonstrations()
     with pytest.raises(ValueError, match="mode 'human'"):
         short().get_envs()[0].render("human")
+    for evaluate in (short().get_envs()[0].is_successful, short().get_envs()[0].compute_reward):
+        with pytest.raises(ValueError, match=r"obs has shape \(2, 11\), this task takes \(..., 12\)"):
+            evaluate(np.zeros((2, 11)))
     peg = earl_benchmark.EARLEnvs("sawyer_peg", "dense", wide_init_distr=True)
     assert peg._task == make("sawyer_peg", reward_type="dense")
 

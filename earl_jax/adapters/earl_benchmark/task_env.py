@@ -60,16 +60,26 @@ class TaskEnv:
         return np.array(self._env.state.env_state.info["goal"])
 
     def is_successful(self, obs: np.ndarray | None = None) -> Any:
-        """Return whether `obs [..., s + g]`, or the current state, has reached its goal: bool, or bool [...]."""
+        """Return whether `obs [..., s + g]`, or the current state, has reached its goal: bool, or bool [...].
+
+        Raises:
+            ValueError: `obs` has another size.
+        """
         return self._evaluate("success", obs)
 
     def compute_reward(self, obs: np.ndarray | None = None) -> Any:
-        """Return the reward of arriving in `obs [..., s + g]`, or in the current state: a number, or [...]."""
+        """Return the reward of arriving in `obs [..., s + g]`, or in the current state: a number, or [...].
+
+        Errors as `is_successful`.
+        """
         return self._evaluate("reward", obs)
 
     def _evaluate(self, name: str, obs: np.ndarray | None) -> Any:
-        current = self._env.state.env_state.obs if obs is None else obs
-        value = np.array(jitted(self._env.session.env, name)(np.asarray(current, np.float32)))
+        current = np.asarray(self._env.state.env_state.obs if obs is None else obs, np.float32)
+        task = self._env.session.env
+        if current.shape[-1:] != (task.observation_size,):
+            raise InputError(f"obs has shape {current.shape}, this task takes (..., {task.observation_size})")
+        value = np.array(jitted(task, name)(current))
         return value if value.ndim else value.item()
 
     def seed(self, seed: int | None = None) -> list[int | None]:
