@@ -173,6 +173,9 @@ def test_unsupported_calls_are_refused_and_the_peg_ignores_wide_starts():
         with pytest.raises(ValueError, match=r"obs has shape \(2, 11\), this task takes \(..., 12\)"):
             evaluate(np.zeros((2, 11)))
     peg = earl_benchmark.EARLEnvs("sawyer_peg", "dense", wide_init_distr=True)
+    for samples in (-1, 0, 2.5):
+        with pytest.raises(ValueError, match="number of samples must"):
+            peg.get_initial_states(samples)
     assert peg._task == make("sawyer_peg", reward_type="dense")
 
 

@@ -15,6 +15,7 @@ from earl_jax.adapters.earl_benchmark.wrappers.lifelong_wrapper import LifelongW
 from earl_jax.adapters.earl_benchmark.wrappers.persistent_state_wrapper import PersistentStateWrapper
 from earl_jax.envs import make
 from earl_jax.errors import InputError
+from earl_jax.options.values import COUNT, require
 from earl_jax.protocol import Continuing, with_explicit_horizon
 
 ORIGINAL_NAMES = {
@@ -94,7 +95,10 @@ class EARLEnvs:
 
     def get_initial_states(self, num_samples: int | None = None) -> np.ndarray:
         """Return representative initial states [I, s], at most `num_samples` (the original ignores the number)."""
-        return np.array(self._task.initial_states[: num_samples or self._samples])
+        samples = self._samples if num_samples is None else num_samples
+        if samples is not None:
+            require("the number of samples", samples, COUNT)
+        return np.array(self._task.initial_states[:samples])
 
     def get_goal_states(self) -> np.ndarray:
         """Return the task goals [G, g] (the original returns None for the Minitaur)."""
