@@ -19,6 +19,7 @@ from earl_jax.algos.learner.base import Learner
 from earl_jax.algos.method import TASK, Method
 from earl_jax.envs import Env, without_budget
 from earl_jax.errors import InputError
+from earl_jax.options.jax_settings import package_types
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.numpy_policy import FULL_BUDGET, NumpyPolicy
 from earl_jax.training.state import LaneState
@@ -59,6 +60,7 @@ class Policy(struct.PyTreeNode, eq=False):
         layers = "-".join(map(str, getattr(self.learner, "hidden_sizes", ())))
         return f"Policy{lanes or ''}({', '.join(filter(None, [sizes, type(self.learner).__name__, layers]))})"
 
+    @package_types()
     def __call__(self, obs: jax.Array) -> jax.Array:
         """Return the greedy action [..., a] at `obs [..., o]`.
 

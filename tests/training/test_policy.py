@@ -93,6 +93,13 @@ def test_another_seed_is_another_policy_and_the_description_is_the_callers_own()
     assert earl_jax.pretrained_info(NAME, "fbrl")["seeds"]
 
 
+def test_a_policy_acts_under_strict_promotion_of_types_and_ranks():
+    policy, obs = earl_jax.pretrained(NAME, "fbrl"), np.full(12, 0.1, np.float32)
+    action = policy(obs)
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        np.testing.assert_array_equal(policy(obs), action)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
