@@ -172,7 +172,7 @@ def _expected(field: dataclasses.Field, annotation: Any, value: Any) -> str | No
         kind = type(default[0]) if default else None
         fits = isinstance(value, tuple) and all(kind not in KINDS or _fits(kind, item) for item in value)
         if kind is int:
-            return None if fits and value and all(value) else "whole numbers of at least 1"
+            return None if fits and value and all(value) else "a list of whole numbers of at least 1, such as [256,256]"
         return None if fits else "a list" + f", each of its values {KINDS.get(kind)}" * (kind in KINDS)
     parts = typing.get_args(annotation)
     may_be_none = default is None or type(None) in parts
