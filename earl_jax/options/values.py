@@ -79,7 +79,9 @@ def require_object(noun: str, given: Any, kind: type, or_name: bool = True) -> N
     """Raise an InputError unless `given` is an object of `kind`, as a class is not, or a name if `or_name`."""
     if not isinstance(given, kind) and not (or_name and isinstance(given, str)):
         call = f"; did you mean {given.__name__}()?" if isinstance(given, type) else ""
-        raise InputError(f"the {noun} must be {'a name or ' * or_name}an object, not {brief(given)}{call}")
+        raise InputError(
+            f"the {noun} must be {'a name or ' * or_name}an object of {kind.__name__}, not {brief(given)}{call}"
+        )
 
 
 def _check_defaults(owner: str, cls: type) -> None:

@@ -17,7 +17,7 @@ from earl_jax.envs.wrappers.help_budget import without_help
 from earl_jax.metrics.continuing import Counters, continuing, init_counters
 from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.jax_settings import package_types
-from earl_jax.options.values import COUNT, require
+from earl_jax.options.values import COUNT, require, require_object
 from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, count_step, reset_where
 
 ATTEMPT_STEPS = 1000
@@ -91,8 +91,10 @@ def init(
         start: `start(key) -> State` of the life; s0 ~ rho by default.
 
     Raises:
-        ValueError: `attempt_steps` is less than 1.
+        ValueError: `attempt_steps` is less than 1, or `env` or `protocol` is another object, such as a setting.
     """
+    require_object("task", env, Env, or_name=False)
+    require_object("protocol", protocol, Protocol, or_name=False)
     require("attempt_steps", attempt_steps, COUNT)
     key, reset_key = jax.random.split(key)
     env_state = (start or env.reset)(reset_key)

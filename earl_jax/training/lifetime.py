@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from earl_jax.algos import Method
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
-from earl_jax.options.values import COUNT, require
+from earl_jax.options.values import COUNT, require, require_object
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import Plan, per_lane, prepare
@@ -33,9 +33,11 @@ def lifetime(
             it is a static argument.
 
     Raises:
-        ValueError: `steps` and the protocol are inconsistent, there are no steps, they are traced, `keys` has not one
-            axis, or as `prepare`.
+        ValueError: `problem` or `method` is another object, such as a name, `steps` and the protocol are inconsistent,
+            there are no steps, they are traced, `keys` has not one axis, or as `prepare`.
     """
+    require_object("problem", problem, Problem, or_name=False)
+    require_object("method", method, Method, or_name=False)
     steps = _static_steps(problem, steps)
     if jax.random.key_data(keys).ndim != 2:
         raise InputError("keys must have one axis, a key for each seed: jax.random.split(key, number)")

@@ -14,6 +14,7 @@ from earl_jax.envs import Env, State
 from earl_jax.envs.checks import check_task
 from earl_jax.envs.state import struct_text
 from earl_jax.metrics.continuing import Counters
+from earl_jax.options.values import require_object
 from earl_jax.protocol import Protocol, Rules
 
 MAP_BINS = 64
@@ -88,6 +89,8 @@ class Problem:
     steps: int | None = None
 
     def __post_init__(self):
+        require_object("task", self.env, Env, or_name=False)
+        require_object("protocol", self.protocol, Protocol, or_name=False)
         check_task(self.env)
 
     def __repr__(self) -> str:

@@ -54,7 +54,7 @@ def next_goals(method, goals, phase, method_state=()):
 def test_the_registry_lists_the_methods_and_refuses_what_is_no_learner():
     assert own_algos() == list(METHODS)
     for learner, given in ((SAC, r"<class .*SAC'>; did you mean SAC\(\)\?"), (3, "3")):
-        with pytest.raises(ValueError, match=f"the learner must be a name or an object, not {given}"):
+        with pytest.raises(ValueError, match=f"the learner must be a name or an object of Learner, not {given}"):
             make_algo("naive", learner=learner)
 
 

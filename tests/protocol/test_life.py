@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from earl_jax.envs import HelpBudget
-from earl_jax.protocol import Protocol, advance, evaluate, init, intervene, lifetime_scores, set_goal
+from earl_jax.protocol import Deployment, Protocol, advance, evaluate, init, intervene, lifetime_scores, set_goal
+from earl_jax.training import Problem
 from tests.conftest import (
     advance as train_steps,
     assert_equal_trees,
@@ -190,6 +191,19 @@ def test_a_spent_budget_ends_a_life_and_not_its_evaluation():
 def test_an_attempt_has_at_least_one_step():
     with pytest.raises(ValueError, match="attempt_steps must lie in"):
         init(Chain(), Protocol(0, 4), KEYS[0], attempt_steps=0)
+
+
+@pytest.mark.parametrize(
+    ("env", "protocol", "message"),
+    [
+        ("chain", Protocol(0, 4), "the task must be an object of Env, not 'chain'"),
+        (Chain(), Deployment(), r"the protocol must be an object of Protocol, not Deployment\("),
+    ],
+)
+def test_a_life_of_a_name_or_a_setting_is_refused(env, protocol, message):
+    for function in (lambda: init(env, protocol, KEYS[0]), lambda: Problem(env, protocol)):
+        with pytest.raises(ValueError, match=message):
+            function()
 
 
 def test_a_goal_has_the_tasks_shape_and_the_type_of_a_state():

@@ -103,9 +103,9 @@ def test_options_are_split_into_task_setting_and_method():
         ({"env": TabletopOrganization(), "wide": True}, r"object here: pass dataclasses.replace\(task, wide=True"),
         ({"algo": earl_jax.make_algo("naive"), "discount": 0.9}, "go with a method's name"),
         ({"env": TabletopOrganization}, r"the task must be a .*; did you mean TabletopOrganization\(\)"),
-        ({"env": None}, "the task must be a name or an object, not None"),
-        ({"algo": Naive}, r"the method must be a name or an object, .*; did you mean Naive\(\)"),
-        ({"algo": SAC()}, r"the method must be a name or an object, not SAC\("),
+        ({"env": None}, "the task must be a name or an object of Env, not None"),
+        ({"algo": Naive}, r"the method must be a name or an object of Method, .*; did you mean Naive\(\)"),
+        ({"algo": SAC()}, r"the method must be a name or an object of Method, not SAC\("),
     ],
 )
 def test_an_unknown_misplaced_or_invalid_argument_is_refused_with_the_fix(options, message, no_training):

@@ -36,6 +36,13 @@ def test_steps_that_are_missing_or_traced_and_keys_without_one_axis_are_refused(
             lifetime(problem, method, wrong, 120)
 
 
+def test_a_name_or_a_task_instead_of_a_method_or_a_problem_is_refused(problem):
+    with pytest.raises(ValueError, match="the method must be an object of Method, not 'naive'"):
+        lifetime(problem, "naive", seed_keys(range(2)), 120)
+    with pytest.raises(ValueError, match="the problem must be an object of Problem, not TabletopOrgan"):
+        lifetime(problem.env, make_algo("naive"), seed_keys(range(2)), 120)
+
+
 @pytest.mark.parametrize("random_steps", [0, 20, RUN_STEPS])
 def test_a_lifetime_contains_the_physics_of_training_and_of_evaluation_once(problem, random_steps):
     """Each part takes XLA long to compile on MJX; here engine c stands for it, whose calls are easy to count."""

@@ -74,8 +74,8 @@ def test_a_finished_run_is_not_trained_again_and_a_longer_one_can_end_where_it_s
     [
         ({"logs": None}, "a list of logs as objects, not None"),
         ({"logs": ["tensorboard"]}, r"logs as objects, not \['tensorboard'\]: names belong to train"),
-        ({"env": "meadow"}, "the task must be an object, not 'meadow'"),
-        ({"algo": Patient}, r"the method must be an object, not .*; did you mean Patient\(\)\?"),
+        ({"env": "meadow"}, "the task must be an object of Env, not 'meadow'"),
+        ({"algo": Patient}, r"the method must be an object of Method, not .*; did you mean Patient\(\)\?"),
         ({"steps": "160"}, "steps must be a whole number, not '160'"),
         ({"steps": 90}, "steps 90 is not a multiple of 40, the run's eval_every; take 120"),
     ],
