@@ -128,10 +128,11 @@ def plan_runs(runs: Sequence[Run], devices: int | None) -> Plan:
     """Return the plan of one program for the lanes of all `runs`, in their order. Errors as `prepare`.
 
     The runs must have the same env, schedule, `program_structure` of their methods and step of their newest checkpoint.
-    Their rules (H_T, settings) can differ, because lanes carry them as arrays.
+    Their rules (H_T, settings) can differ, because lanes carry them as arrays, so the plan's protocol has none.
     """
     first, lanes = runs[0], sum(len(run.config.seeds) for run in runs)
-    problem = Problem(for_lanes(first.env, lanes), first.protocol)
+    protocol = dataclasses.replace(first.protocol, train_horizon=0, intervention_chance=0.0, goal_change=0)
+    problem = Problem(for_lanes(first.env, lanes), protocol)
     return prepare(problem, join_lanes([run.method for run in runs]), lanes, first.config.steps, devices)
 
 

@@ -7,6 +7,7 @@ import pytest
 from earl_jax.envs import make
 from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.protocol import Deployment
+from earl_jax.training import runner
 from earl_jax.training.state import MAP_BINS, Problem
 from tests.conftest import (
     CHUNK,
@@ -18,6 +19,7 @@ from tests.conftest import (
     make_train_state,
     stored_flags,
     tiny_method,
+    tiny_train,
 )
 
 
@@ -34,6 +36,16 @@ def test_lanes_of_one_program_follow_their_own_rules(env, problem):
     assert flags.timeout[flags.no_successor].all()
     np.testing.assert_array_equal(state.lanes.env_state.obs[1, :6], env.initial_states[0])
     assert int(state.lanes.phase[1]) == 0
+
+
+def test_a_later_run_with_other_rules_compiles_nothing():
+    programs = runner._init, runner._advance, runner._evaluate
+    first = tiny_train("naive")
+    compiled = [program._cache_size() for program in programs]
+    later = tiny_train("naive", setting="continuing", goal_change=7, intervention_chance=0.2)
+    assert [program._cache_size() for program in programs] == compiled
+    interventions = [result.metrics["interventions"][:, -1] for result in (first, later)]
+    assert (interventions[1] > interventions[0]).all()
 
 
 def test_a_bootstrapped_timeout_without_successor_is_not_listed(problem):
