@@ -59,7 +59,7 @@ SCALES = {
 def reproduce(
     name: str,
     scale: str = "smoke",
-    out: Path | None = None,
+    out: str | Path | None = None,
     tasks: Sequence[str] = (),
     seeds: int | None = None,
     steps: int | None = None,
@@ -92,7 +92,7 @@ def reproduce(
     """
     limit = TimeLimit.of(minutes)
     text = grid_text(name, scale, tasks, seeds, steps, options)
-    out = out or Path("runs") / f"reproduce-{scale}"
+    out = Path(out or f"runs/reproduce-{scale}")
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
     write_atomically(file, text)

@@ -85,7 +85,7 @@ def caption(smooth: int = 1, published: bool = False) -> str:
 
 def plot_runs(
     folders: Sequence[Path],
-    out: Path,
+    out: str | Path,
     names: Sequence[str] = (),
     metric: str | None = None,
     size: Literal["screen", "column", "page"] = "screen",
@@ -107,6 +107,7 @@ def plot_runs(
         ValueError: a folder is no run, `out` has an unknown suffix, `names` are too few or too many, a run has no column
             `metric`, or matplotlib is not installed.
     """
+    out = Path(out)
     if out.suffix not in PICTURES:
         raise InputError(f"{out}: pictures are written as {', '.join(PICTURES)}")
     if size not in SIZES:

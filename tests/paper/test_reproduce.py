@@ -162,6 +162,7 @@ def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_writte
     assert (given["minutes"].minutes, given["per_device"]) == (5, "auto")
     assert lines == ["table1 is not written; unfinished runs: tabletop_organization/fbrl/x"]
     assert not (tmp_path / "out/table1").exists()
+    assert reproduce.reproduce("table1", out=str(tmp_path / "out")) == ([], ())
 
 
 def test_failed_runs_are_named_after_the_files_of_the_others_and_the_exit_code_is_1(tmp_path, monkeypatch):

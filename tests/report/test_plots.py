@@ -31,7 +31,7 @@ def drawn(monkeypatch, tmp_path):
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
 
     def draw(*folders, **options):
-        plot_runs(folders, tmp_path / "x.pdf", **options)
+        plot_runs(folders, str(tmp_path / "x.pdf"), **options)
         return figures[-1]
 
     return draw

@@ -34,7 +34,7 @@ LEAST_SECONDS = 1.0
 
 def write_page(
     folders: Sequence[Path],
-    out: Path,
+    out: str | Path,
     reload_seconds: float | None = None,
     policies: PolicyVideos | None = None,
     window: Window = DEFAULT,
@@ -48,6 +48,7 @@ def write_page(
     Raises:
         ValueError: `out` is not an .html file, a folder holds no run, no run can be read, or a library is missing.
     """
+    out = Path(out)
     environment, plotly = _libraries(out)
     runs, left_out = gather(folders, _check, window)
     for cause in left_out.values():

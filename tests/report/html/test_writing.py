@@ -89,7 +89,7 @@ def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
     for number, values in enumerate(causes.values()):
         change_config(write_page_run(tmp_path / f"broken{number}", "fbrl", rising(2, 2)), **values)
     with pytest.warns(RunWarning) as caught, np.errstate(all="ignore"):
-        page = write_page([tmp_path], tmp_path / "page.html", reload_seconds=30.0).read_text()
+        page = write_page([tmp_path], str(tmp_path / "page.html"), reload_seconds=30.0).read_text()
     text = Reader(page).text
     messages = [str(warning.message) for warning in caught]
     for name, metric in (("endless", "interventions"), ("unknown", "deployed/success")):
