@@ -32,10 +32,9 @@ class PhysicsState(struct.PyTreeNode):
         By default `qvel` is 0 [nq], for a model without ball and free joints, which have more coordinates than speeds.
         """
         speed = jnp.zeros_like(qpos) if qvel is None else qvel
-        none = jnp.zeros((0,), jnp.float32)
         fields = {
-            "act": none, "mocap_pos": jnp.zeros((0, 3)), "mocap_quat": jnp.zeros((0, 4)), "time": jnp.zeros(()),
-            "qacc_warmstart": jnp.zeros_like(speed), "memory": none, "constants": none,
+            "act": jnp.zeros(0), "mocap_pos": jnp.zeros((0, 3)), "mocap_quat": jnp.zeros((0, 4)), "time": jnp.zeros(()),
+            "qacc_warmstart": jnp.zeros_like(speed), "memory": jnp.zeros(0), "constants": jnp.zeros(0),
         }  # fmt: skip
         return cls(qpos=qpos, qvel=speed, **{**fields, **others})
 

@@ -99,7 +99,7 @@ def init(
     key, reset_key = jax.random.split(key)
     env_state = (start or env.reset)(reset_key)
     zero = jnp.zeros((), jnp.int32)
-    return ProtocolState(
+    state = ProtocolState(
         key=key,
         env_state=env_state,
         rules=jax.tree.map(jnp.asarray, protocol.rules),
@@ -111,6 +111,7 @@ def init(
         evaluated_at=zero,
         counters=init_counters(env, env_state),
     )
+    return jax.tree.map(jnp.copy, state)  # no array twice, which a jitted step could not donate
 
 
 @package_types()
@@ -181,7 +182,7 @@ def _with_task_goal(env: Env, state: ProtocolState, key: jax.Array) -> ProtocolS
 
 def _with_goal(env: Env, state: ProtocolState, goal: jax.Array, is_set: bool) -> ProtocolState:
     return state.replace(
-        env_state=env.with_goal(state.env_state, goal),
+        env_state=env.with_goal(state.env_state, jnp.array(goal)),
         attempt_age=jnp.zeros_like(state.attempt_age),
         goal_is_set=jnp.full_like(state.goal_is_set, is_set),
     )
@@ -215,5 +216,5 @@ def evaluate(
     step, window = jnp.maximum(state.step, 1), jnp.maximum(state.step - state.evaluated_at, 1)
     counters, of_life = continuing(state.counters, state.env_state, step, window)
     phases, of_phases = phase_metrics(counters.phases, state.step, protocol.alive_steps, DIRECTIONS, env.sparse)
-    state = state.replace(evaluated_at=state.step, counters=counters.replace(phases=phases))
+    state = state.replace(evaluated_at=jnp.copy(state.step), counters=counters.replace(phases=phases))
     return state, {**metrics, **of_life, **of_phases}

@@ -206,6 +206,20 @@ def test_a_life_of_a_name_or_a_setting_is_refused(env, protocol, message):
             function()
 
 
+def test_a_jitted_step_can_donate_what_is_returned_outside_jit(env):
+    protocol, still = Protocol(0, 4, eval_episodes=1), jnp.zeros(env.action_size)
+
+    def evaluated(env, life):
+        return evaluate(env, protocol, life, lambda obs: still)[0]
+
+    step = jax.jit(lambda life: advance(env, life, still)[0], donate_argnums=0)
+    life = init(env, protocol, KEYS[0])
+    for function in (intervene, set_goal, evaluated):
+        life = function(env, step(life))
+    assert step(life).step == 4
+    jax.jit(env.step, donate_argnums=0)(env.reset(KEYS[0]), still)
+
+
 def test_a_goal_has_the_tasks_shape_and_the_type_of_a_state():
     life = init(Chain(), Protocol(0, 4), KEYS[0])
     with pytest.raises(ValueError, match=r"goal has shape \(2,\), this task takes \(1,\)"):
