@@ -70,7 +70,7 @@ print(f"gripper {state.obs[:2]}, mug {state.obs[2:4]}, reward {state.reward}")
 ## Train
 
 In forward-backward RL, one controller carries the mug to its goal, another brings everything back, and
-they alternate forever. `PRESET` holds the hyper-parameters of the quickstart: smaller networks than the
+they alternate forever. `OPTIONS` holds the hyper-parameters of the quickstart: smaller networks than the
 paper's and three changes that reduce training to minutes (`earl_jax/options/presets.py` names them).
 Without it, this is the paper's agent.
 

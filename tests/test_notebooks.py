@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,15 @@ def test_a_notebook_is_its_script(path):
     pytest.importorskip("jupytext", reason="notebooks need the extra notebook")
     stored = json.loads(path.with_suffix(".ipynb").read_text())
     assert notebooks.same_source(notebooks.convert(path), stored), "run python -m docs.site.notebooks"
+
+
+@EVERY_NOTEBOOK
+def test_constants_that_the_text_of_a_notebook_names_are_in_its_code(path):
+    cells = json.loads(path.with_suffix(".ipynb").read_text())["cells"]
+    text, code = (
+        "".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == kind) for kind in ("markdown", "code")
+    )
+    assert [name for name in re.findall(r"`([A-Z_]{2,})`", text) if not re.search(rf"\b{name}\b", code)] == []
 
 
 def test_a_notebook_becomes_a_page_with_its_outputs():
