@@ -106,7 +106,8 @@ earl_jax.register_algo(AsIf.name, AsIf)
 """
 With a registered name, `train`, plots and tables accept the method like any other. To use it in other
 processes too (the command line, sweeps, `resume`), put the class in a file and pass `--import FILE`, as in
-[docs/extending.md](../docs/extending.md).
+[docs/extending.md](../docs/extending.md). When this cell runs again, the new class gets a new program. After
+`%autoreload` has changed a class in place, call `jax.clear_caches()`: jax keeps the program of the old code.
 
 ## Test it before training
 
