@@ -65,7 +65,7 @@ def read(path: Path) -> list[RunSpec]:
 def read_table(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file, without the files of its `import`, which are run. Errors as `read`."""
     try:
-        table = tomllib.loads(path.read_text())
+        table = tomllib.loads(path.read_text("utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} can't be read: {error}") from error
     for file in _names(table, "import") if "import" in table else ():

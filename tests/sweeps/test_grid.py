@@ -35,6 +35,12 @@ def test_an_option_can_be_null(tmp_path):
     assert [spec.name for spec in specs] == ["e/a/replay_capacity=null", "e/a/replay_capacity=1000"]
 
 
+def test_a_grid_is_utf_8_with_or_without_a_byte_order_mark(tmp_path):
+    for encoding in ("utf-8", "utf-8-sig"):
+        (tmp_path / "grid.toml").write_text(f"{RUN}options.demo_file = 'ü.npz'", encoding)
+        assert [spec.options for spec in grid.read(tmp_path / "grid.toml")] == [{"demo_file": "ü.npz"}]
+
+
 def test_name_of_a_run_does_not_depend_on_other_runs(tmp_path):
     before = {spec.name for spec in read(tmp_path, BASE + "[options]\nreward_scale = 1\ndiscount = 0.9\n")}
     after = {spec.name for spec in read(tmp_path, BASE + "[options]\ndiscount = 0.90\nreward_scale = [2, 1.0]\n")}
