@@ -15,7 +15,7 @@ from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.jax_settings import package_types
-from earl_jax.options.values import SEED, require
+from earl_jax.options.values import EPISODES, SEED, require
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.table import KEYS
 from earl_jax.training.forks import require_jax
@@ -87,10 +87,11 @@ def evaluate(
     """
     require_jax()
     require("seed", seed, SEED)
+    require("episodes", episodes, EPISODES)
     run = RunFolder.open(Path(folder))
-    env, policies = with_engine(run.config.build_task(), engine), load_policies(run)
-    start = start_of(env, starts)
-    pairs = _pairs_of(run, starts, pairs)
+    env = with_engine(run.config.build_task(), engine)
+    start, pairs = start_of(env, starts), _pairs_of(run, starts, pairs)
+    policies = load_policies(run)
 
     def evaluate_policy(policy):
         return deployed(env, policy, jax.random.key(seed), env.eval_horizon, episodes, start, pairs=pairs)

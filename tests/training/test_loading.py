@@ -49,6 +49,14 @@ def test_policies_and_maps_of_visits_need_no_checkpoint(trained, folder):
         evaluate(folder.path, episodes=2, starts="wide", pairs="balanced")
 
 
+@pytest.mark.parametrize("wrong", [{"episodes": 0}, {"starts": "x"}, {"pairs": "x"}])
+def test_evaluate_checks_its_arguments_before_it_reads_policies(folder, wrong):
+    folder.policies.write_bytes(b"")
+    shutil.rmtree(folder.checkpoints)
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        evaluate(folder.path, **wrong)
+
+
 def save_zeros(trained, folder, step, visits=None):
     """Put policies of zeros and maps of `visits` into the place of policies.npz."""
     zeros = jax.tree.map(np.zeros_like, trained[1].policies.actor)
