@@ -82,10 +82,11 @@ def _complete(stdout: LastingStream, training: bool) -> Iterator[None]:
         yield
     finally:
         stdout.flush()
-        if stdout.failure and not training:
-            raise stdout.failure
         if stdout.failure:
-            print(f"earl-jax: stdout can't be written: {stdout.failure}", file=sys.stderr)
+            message = f"stdout can't be written: {stdout.failure}"
+            if not training:
+                raise type(stdout.failure)(message)
+            print(f"earl-jax: {message}", file=sys.stderr)
 
 
 def _run(arguments: list[str], files: Sequence[str]) -> None:
