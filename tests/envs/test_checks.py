@@ -8,6 +8,8 @@ import pytest
 import earl_jax
 from earl_jax.adapters.gymnasium import ResetFreeEnv
 from earl_jax.errors import InputError
+from earl_jax.protocol import Protocol
+from earl_jax.training import Problem
 from tests.envs.chain import Chain
 
 
@@ -38,3 +40,10 @@ def test_a_state_vector_of_another_size_is_refused():
     env = type("Long", (Chain,), {"state_size": 2})()
     with pytest.raises(InputError, match=r"chain: a state vector has shape \(1,\), not \(2,\)"):
         env.reset(jax.random.key(0))
+
+
+def test_a_problem_can_be_made_in_a_program_that_is_traced():
+    class New(Chain):
+        """A task that no earlier test has checked."""
+
+    assert jax.jit(lambda x: x + Problem(New(), Protocol(0, 4)).env.state_size)(1) == 2
