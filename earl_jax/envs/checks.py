@@ -3,6 +3,7 @@
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs.base import Env
@@ -41,7 +42,8 @@ def _check_functions(env: Env) -> None:
             raise InputError(f"{env.name}: {name} {expected}, not {result.dtype}{list(result.shape)}")
     if env.sparse:
         with jax.ensure_compile_time_eval():  # a user's program may make its problem while it is traced
-            bits, rewards = np.asarray(env.success(obs)), np.asarray(env.reward(obs))
+            given = jnp.asarray(obs)
+            bits, rewards = np.asarray(env.success(given)), np.asarray(env.reward(given))
         if (bits != rewards).any():
             pair = f"reward is {brief(rewards)} where success is {brief(bits)}"
             raise InputError(f"{env.name}: a sparse reward is the success bit, but {pair}; or use reward_type='dense'")
