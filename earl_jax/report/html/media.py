@@ -12,7 +12,6 @@ from earl_jax.envs import Map
 from earl_jax.errors import InputError
 from earl_jax.metrics.visitation import measure
 from earl_jax.report.html.curves import Line
-from earl_jax.report.runs import read
 from earl_jax.report.scores import seed_scores
 from earl_jax.runs.contents import POLICIES
 from earl_jax.runs.folder import RunFolder
@@ -156,13 +155,14 @@ def videos(lines: Sequence[Line], policies: PolicyVideos | None = None) -> list[
 
 def _films(line: Line, policies: PolicyVideos | None) -> Iterator[tuple[Film, str]]:
     """Yield the videos of a line, each with the start of the sentence about its problem."""
+    scores = dict(zip(line.seeds, seed_scores(line.curves), strict=True))
     for run in line.curves.runs:
         for file in sorted(run.path.iterdir()):
             if file.suffix.lower() in KINDS:
                 yield Film(file, file.name), f"{file} is left out"
         if policies:
-            scores = seed_scores(read(run.path, line.curves.window))
-            yield policies.film(run, scores), f"No video of the policy of {run.path}"
+            own = np.array([scores[seed] for seed in run.config.seeds])
+            yield policies.film(run, own), f"No video of the policy of {run.path}"
 
 
 def _content(film: Film, room: int) -> tuple[str, bytes]:
