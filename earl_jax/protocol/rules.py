@@ -167,6 +167,11 @@ class Protocol:
             goal_change=np.int32(self.goal_change),
         )
 
+    @property
+    def without_rules(self) -> "Protocol":
+        """The part that all lanes of a program share: this protocol without interventions and goal changes."""
+        return dataclasses.replace(self, train_horizon=0, intervention_chance=0.0, goal_change=0)
+
     def deployed(self, task: Env, policy: Callable[[jax.Array], jax.Array], key: jax.Array) -> dict[str, jax.Array]:
         """Return the deployed evaluation of `policy(obs) -> action` in `task`, from the `key []` of a lane."""
         key, wide = jax.random.fold_in(key, EVALUATION_KEY), task.starts.wide

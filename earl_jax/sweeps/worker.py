@@ -55,11 +55,10 @@ class PlannedRun:
 
     def group_key(self) -> Hashable:
         """Return the properties that all runs of one program have in common."""
-        env, protocol = self.run.env, self.run.protocol
+        env, shared = self.run.env, self.run.protocol.without_rules
         if not env.has_absorbing_state:
             env = dataclasses.replace(env, train_horizon=1)  # lanes carry the horizon as data
-        measured = self.run.config.schedule, protocol.alive_steps, protocol.eval_pairs
-        return env, *measured, self.step, program_structure(self.run.method)
+        return env, self.run.config.schedule, shared, self.step, program_structure(self.run.method)
 
 
 def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) -> list[list[PlannedRun]]:

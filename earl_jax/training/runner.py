@@ -131,8 +131,7 @@ def plan_runs(runs: Sequence[Run], devices: int | None) -> Plan:
     Their rules (H_T, settings) can differ, because lanes carry them as arrays, so the plan's protocol has none.
     """
     first, lanes = runs[0], sum(len(run.config.seeds) for run in runs)
-    protocol = dataclasses.replace(first.protocol, train_horizon=0, intervention_chance=0.0, goal_change=0)
-    problem = Problem(for_lanes(first.env, lanes), protocol)
+    problem = Problem(for_lanes(first.env, lanes), first.protocol.without_rules)
     return prepare(problem, join_lanes([run.method for run in runs]), lanes, first.config.steps, devices)
 
 
