@@ -94,11 +94,13 @@ AGAIN = {
     cell: f"{cell}/commit_{commit}"
     for cell, commit in (
         (f"{TABLETOP}/naive", "ed7009a"), (f"{TABLETOP}/vaprl", "ed7009a"), (f"{DOOR}/r3l", "24b5aba"),
-        (f"{KITCHEN}/naive", "87f9604"), (f"{KITCHEN}/oracle", "87f9604"),
+        (f"{KITCHEN}/naive", "87f9604"), (f"{KITCHEN}/oracle", "87f9604"), (f"{KITCHEN}/fbrl", "c7e2d9e"),
         (f"{KITCHEN}/oracle/reward_scale_0.1", "fbeb891"),
     )
 }  # fmt: skip
 """Cells whose seeds were run again, and their earlier runs."""
+BESIDE_VARIANTS = {"fbrl": AGAIN[f"{KITCHEN}/fbrl"], "r3l": f"{KITCHEN}/r3l"}
+"""The kitchen's runs with the released replay that have evaluations at the steps of their variants."""
 VAPRL = {
     DOOR: ("no_nearest_fallback", "no_unmet_goals", ALL_KEPT),
     TABLETOP: ("no_unmet_goals", ALL_KEPT),
@@ -156,14 +158,14 @@ DIFFERENCES = (
             for name in ("random_10000", "precision_float32", "entropy_per_action_-1", "one_pair")
         ),
         *(
-            Pair((f"{KITCHEN}/{algo}",), _ten_seeds(f"{KITCHEN}/{algo}/{name}"), CONTINUING)
+            Pair((BESIDE_VARIANTS[algo],), _ten_seeds(f"{KITCHEN}/{algo}/{name}"), CONTINUING)
             for algo, name in (
                 ("fbrl", "both"), ("fbrl", "success"), ("fbrl", "both_success"), ("fbrl", "both_mean_return"),
                 ("fbrl", "timeout_bootstrap"), ("r3l", "timeout_bootstrap"),
             )
         ),
         *(
-            Pair((f"{KITCHEN}/{algo}",), (f"{KITCHEN}/{algo}/{name}",), CONTINUING)
+            Pair((BESIDE_VARIANTS[algo],), (f"{KITCHEN}/{algo}/{name}",), CONTINUING)
             for algo, name in (("fbrl", "both_success-timeout_bootstrap"), ("r3l", "both"))
         ),
         *_both_scores((_all_kept(f"{KITCHEN}/fbrl"),), (f"{KITCHEN}/fbrl/mean_return",)),
@@ -221,7 +223,7 @@ DIFFERENCES = (
     ), *(pair for cell in DENSE_AGAIN for pair in _both_scores((_all_kept(cell),), (cell,))))),
     Difference("20", "FBRL on the door on engine mjx", _both_scores((f"{DOOR}/fbrl",), (f"{DOOR}/fbrl/mjx",))),
     Difference("21", "the kitchen's backward goal of 13 on fresh seeds, with the released replay", (
-        *_both_scores((f"{KITCHEN}/fbrl",), (f"{KITCHEN}/fbrl/mean_return-seeds_5_to_9",)),
+        *_both_scores((BESIDE_VARIANTS["fbrl"],), (f"{KITCHEN}/fbrl/mean_return-seeds_5_to_9",)),
         Pair((f"{KITCHEN}/fbrl/mean_return-seeds_5_to_9",), PUBLISHED, CONTINUING),
     )),
     Difference("22", "figure 2 with the release's script to its 3M steps, fresh seeds; the biased update", tuple(
@@ -232,6 +234,4 @@ DIFFERENCES = (
         Pair(*((f"{MINITAUR}/{algo}/{name}-seeds_5_to_9",) for name in (RELEASED_REPLAY, "timeout_bootstrap")), metric)
         for algo in ("oracle", "r3l") for metric in (None, SUCCESS)
     )),
-    Difference("24", "the kitchen's FBRL at its whole length, four of its five seeds, each alone on a GPU",
-               _both_scores((f"{KITCHEN}/fbrl/seeds_5_to_8",), PUBLISHED)),
 )  # fmt: skip
