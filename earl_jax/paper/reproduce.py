@@ -95,10 +95,15 @@ def reproduce(
     out = Path(out or f"runs/reproduce-{scale}")
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
+    earlier = file.read_bytes() if file.is_file() else text
     write_atomically(file, text)
-    outcome = sweep(
-        file, out / "runs", max_lanes=max_lanes, devices=devices, per_device=per_device, emit=emit, minutes=limit
-    )
+    try:
+        outcome = sweep(
+            file, out / "runs", max_lanes=max_lanes, devices=devices, per_device=per_device, emit=emit, minutes=limit
+        )
+    except InputError:  # nothing has started
+        write_atomically(file, earlier)
+        raise
     if outcome.unfinished:
         emit(f"{name} is not written; unfinished runs: {', '.join(outcome.unfinished)}")
         return [], outcome.failed

@@ -200,6 +200,9 @@ def test_failed_runs_are_named_after_the_files_of_the_others_and_the_exit_code_i
     ],
 )
 def test_invalid_arguments_are_reported_and_start_no_run(tmp_path, arguments, message):
+    grid = tmp_path / "out" / f"{arguments['name']}.toml"
+    grid.parent.mkdir()
+    grid.write_text("# the runs of an earlier call")
     with pytest.raises(ValueError, match=message):
-        reproduce.reproduce(**{"out": tmp_path / "out", **arguments})
-    assert not (tmp_path / "out" / "runs").exists()
+        reproduce.reproduce(**{"out": grid.parent, **arguments})
+    assert {path: path.read_text() for path in grid.parent.iterdir()} == {grid: "# the runs of an earlier call"}
