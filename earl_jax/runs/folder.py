@@ -238,10 +238,13 @@ def _require_free(path: Path, overwrite: bool) -> None:
 
 def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
     """Return the config in `file`, a config.json, and the names of the run's logs; a ValueError says what is invalid."""
+    fault = "is damaged"
     try:
         values = json.loads(read_bytes(file, LARGEST_CONFIG))
-        if values.get("format", ...) != FORMAT:
-            named = f"its format is {brief(values['format'])}" if "format" in values else "it names no format"
+        if (known := values.get("format", ...)) != FORMAT:
+            if isinstance(known, int) and known > FORMAT:
+                fault = "was written by a newer version of earl_jax"
+            named = f"its format is {brief(known)}" if "format" in values else "it names no format"
             raise InputError(f"{named}, and this version of earl_jax reads {FORMAT}")
         for name in ("seeds", "logs"):
             if not isinstance(values.get(name, []), list):
@@ -251,7 +254,7 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
         raise InputError(f"{file} is damaged: it has no {error}") from error
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
         cause = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        raise InputError(f"{file} is damaged: {cause}") from error
+        raise InputError(f"{file} {fault}: {cause}") from error
 
 
 def require_same_settings(file: Path) -> None:

@@ -106,6 +106,7 @@ CONFIG = [
     ("logs", "5", "logs must be a list"),
     ("logs", '"tensorboard"', "logs must be a list"),
     *(("format", text, f"its format is {text}, and this version of earl_jax reads 3") for text in ("0", "2", "[3]")),
+    ("format", "4", "was written by a newer version of earl_jax: its format is 4, and this version"),
     ("format", None, "it names no format, and this version of earl_jax reads 3"),
 ]
 """Entries of config.json, the text of another value (None removes the entry), and what the message says of it."""
