@@ -4,6 +4,7 @@ import functools
 import json
 import os
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -81,12 +82,13 @@ def gather(
             curves = read(path, window)
             check(curves)
             key = pooling_key(curves.config)
-            parts = [*pools.get(key, ()), curves]
-            run = pooled(parts)
-            _check_copied(run, curves.seeds)
-            if len(parts) > 1:
+            run = curves
+            if key in runs:
+                run = pooled((runs[key], curves))
+                _check_copied(run, curves.seeds)
                 check(run)
-            pools[key], runs[key] = parts, run
+            runs[key] = run
+            pools.setdefault(key, []).append(curves)
         except Exception as error:  # a folder is data: any error in it is reported and affects no other run
             text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
             left_out[path] = text if str(path) in text else f"{path}: {text}"
@@ -102,27 +104,28 @@ def gather(
 
 def _check_copied(run: Curves, added: int) -> None:
     """Raise an InputError if each of the `added` last seeds has the numbers of an earlier one, as in a copied folder."""
-    seeds = [(seed, folder.path) for folder in run.runs for seed in folder.config.seeds]
-    lives = [(seed, *(values[row].tobytes() for values in run.metrics.values())) for row, (seed, _) in enumerate(seeds)]
+    seeds = run.run_seeds
+    if not set(seeds[-added:]) <= set(seeds[:-added]):
+        return
+    lives = [(seed, *(values[row].tobytes() for values in run.metrics.values())) for row, seed in enumerate(seeds)]
     earlier, last = lives[:-added], lives[-added:]
     if set(last) <= set(earlier):
-        seed, path = seeds[earlier.index(last[0])]
-        raise InputError(f"{seeds[-1][1]} has the same numbers of seed {seed} as {path}; a seed counts once")
+        paths = [folder.path for folder in run.runs for _ in folder.config.seeds]
+        row = earlier.index(last[0])
+        raise InputError(f"{paths[-1]} has the same numbers of seed {seeds[row]} as {paths[row]}; a seed counts once")
 
 
 def _once(run: Curves) -> Curves:
     """Return `run` with a row for each seed: the mean of its runs, which are not independent. A `RunWarning` names them."""
-    seeds = [seed for folder in run.runs for seed in folder.config.seeds]
-    rows = {seed: np.equal(seeds, seed) for seed in seeds}
-    repeated = [seed for seed, chosen in rows.items() if chosen.sum() > 1]
+    counts = Counter(run.run_seeds)
+    repeated = [seed for seed, count in counts.items() if count > 1]
     if not repeated:
         return run
     paths = " and ".join(str(folder.path) for folder in run.runs if {*repeated} & {*folder.config.seeds})
     text = f"{paths} have seed {', '.join(map(str, repeated))}; each counts once, by the mean of its runs"
     warnings.warn(text, RunWarning, stacklevel=3)
-    means = {
-        name: np.stack([values[row].mean(axis=0) for row in rows.values()]) for name, values in run.metrics.items()
-    }
+    rows = [np.equal(run.run_seeds, seed) for seed in counts]
+    means = {name: np.stack([values[row].mean(axis=0) for row in rows]) for name, values in run.metrics.items()}
     return run._replace(metrics=Columns(run.runs[0].path, means))
 
 

@@ -62,6 +62,11 @@ class Curves(NamedTuple):
         return len(self.metrics[self.deployed_metric])
 
     @property
+    def run_seeds(self) -> list[int]:
+        """The seeds of `runs` in their order, with repetition; of a seed that ran more than once, the curves have one row."""
+        return [seed for run in self.runs for seed in run.config.seeds]
+
+    @property
     def task_options(self) -> dict[str, Any]:
         """Options of task and setting that differ from the defaults, and the task's class if its name does not build it."""
         config = self.config

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from earl_jax.report.pooling import find_runs, gather, read_all, read_methods
+from earl_jax.report import pooling
+from earl_jax.report.pooling import find_runs, gather, pooled, read_all, read_methods
 from earl_jax.report.runs import labels
 from earl_jax.runs.files import RunWarning
 from tests.report.run_files import TABLETOP, change_config, constant, rising, write_page_run, write_run
@@ -27,10 +28,18 @@ def test_pooled_runs_have_the_later_metrics_that_all_of_them_have_in_any_order(t
         for seed, (name, metrics) in enumerate(wide.items())
     ]
     for order in (1, -1):
-        [pooled] = read_all(paths[:2][::order])
-        np.testing.assert_allclose(pooled.metrics["deployed/success_wide"][:, 0], [0.25, 0.5][::order])
-        assert not more.keys() & pooled.metrics.keys()
+        [run] = read_all(paths[:2][::order])
+        np.testing.assert_allclose(run.metrics["deployed/success_wide"][:, 0], [0.25, 0.5][::order])
+        assert not more.keys() & run.metrics.keys()
         assert "deployed/success_wide" not in read_all(paths[::order])[0].metrics
+
+
+def test_each_of_many_runs_is_pooled_once_with_the_earlier_ones(tmp_path, monkeypatch):
+    paths = [write_run(tmp_path / str(n), TABLETOP, "naive", rising(1, 2), seeds=(n,)) for n in range(4)]
+    parts = []
+    monkeypatch.setattr(pooling, "pooled", lambda runs: [parts.append(len(runs)), pooled(runs)][1])
+    [run] = read_all(paths)
+    assert (parts, run.run_seeds, [folder.path for folder in run.runs]) == ([2, 2, 2], [0, 1, 2, 3], paths)
 
 
 def test_runs_are_pooled_over_their_common_steps(tmp_path):
@@ -39,9 +48,9 @@ def test_runs_are_pooled_over_their_common_steps(tmp_path):
         write_run(tmp_path / "b", TABLETOP, "naive", rising(1, 2), steps=(20, 40), seeds=(1,)),
         write_run(tmp_path / "c", TABLETOP, "naive", rising(1, 2), steps=(50, 100), seeds=(2,)),
     ]
-    pooled = read_all(paths[:2])[0]
-    np.testing.assert_array_equal(pooled.steps, [20])
-    np.testing.assert_allclose(pooled.metrics["deployed/success"], [[0.5], [0.0]])
+    run = read_all(paths[:2])[0]
+    np.testing.assert_array_equal(run.steps, [20])
+    np.testing.assert_allclose(run.metrics["deployed/success"], [[0.5], [0.0]])
     with pytest.raises(ValueError, match="no evaluation step in common"):
         read_all(paths)
 
@@ -100,8 +109,8 @@ def test_a_run_that_does_not_fit_is_left_out_of_its_pool(tmp_path):
         write_page_run(tmp_path / name, "fbrl", rising(2, 2), seeds=seeds)
     table = tmp_path / "other/metrics.csv"
     table.write_text(table.read_text().replace("reached", "renamed"))
-    [pooled], left_out = gather([tmp_path])
-    assert [seed for run in pooled.runs for seed in run.config.seeds] == [0, 1, 1, 2]
+    [run], left_out = gather([tmp_path])
+    assert run.run_seeds == [0, 1, 1, 2]
     assert list(left_out) == [tmp_path / "other"]
     assert left_out[tmp_path / "other"].startswith(f"{table} has no column 'reached'")
 
@@ -117,12 +126,12 @@ def test_a_copy_is_left_out_and_a_seed_that_ran_twice_counts_once_by_its_mean(tm
         pytest.warns(RunWarning, match=r"left out: .*c has the same numbers of seed 0 as .*a; a seed counts once"),
         pytest.warns(RunWarning, match=r"a and \S*b have seed 0, 1; each counts once, by the mean of its runs"),
     ):
-        [pooled] = read_all([tmp_path])
-    assert [folder.path for folder in pooled.runs] == [run, other, tmp_path / "d"]
+        [curves] = read_all([tmp_path])
+    assert [folder.path for folder in curves.runs] == [run, other, tmp_path / "d"]
     means = [*rising(2, 3) * 0.75, [0.3] * 3]
-    np.testing.assert_allclose(pooled.metrics["deployed/success"], means)
+    np.testing.assert_allclose(curves.metrics["deployed/success"], means)
     with pytest.raises(ValueError, match=r"a/metrics\.csv has no column 'none'"):
-        pooled.metrics["none"]
+        curves.metrics["none"]
     with pytest.raises(ValueError, match="a seed counts once"):
         read_all([run, copy])
 

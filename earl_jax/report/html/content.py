@@ -49,7 +49,7 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
 def _summary(lines: Sequence[Line], versions: dict[str, list[str]]) -> dict[str, str]:
     runs = sum(len(line.curves.runs) for line in lines)
     seeds = sum(len(line.seeds) for line in lines)
-    steps = sum(int(line.curves.steps[-1]) * len(run.config.seeds) for line in lines for run in line.curves.runs)
+    steps = sum(int(line.curves.steps[-1]) * len(line.curves.run_seeds) for line in lines)
     return {
         "Runs": f"{runs}, with {counted(seeds, 'seed')} and {steps_text(steps)} steps in total",
         "Methods": ", ".join(dict.fromkeys(line.curves.algo for line in lines)),
@@ -91,8 +91,7 @@ def _notes(lines: Sequence[Line]) -> list[str]:
         trained, planned = int(line.curves.steps[-1]), max(run.config.steps for run in line.curves.runs)
         if trained < planned:
             notes.append(f"{line.curves.label}: {trained:,} of {planned:,} steps trained.")
-        seeds = [seed for run in line.curves.runs for seed in run.config.seeds]
-        repeated = ", ".join(str(seed) for seed in sorted(line.seeds) if seeds.count(seed) > 1)
+        repeated = ", ".join(str(seed) for seed in sorted(line.seeds) if line.curves.run_seeds.count(seed) > 1)
         if repeated:
             notes.append(f"{line.curves.label}: seed {repeated} ran more than once and counts by the mean of its runs.")
     return notes

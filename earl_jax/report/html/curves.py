@@ -34,7 +34,7 @@ class Line(NamedTuple):
     @property
     def seeds(self) -> tuple[int, ...]:
         """The seed of each row of the curves."""
-        return tuple(dict.fromkeys(seed for run in self.curves.runs for seed in run.config.seeds))
+        return tuple(dict.fromkeys(self.curves.run_seeds))
 
 
 def lines_of(runs: Sequence[Curves]) -> list[Line]:
