@@ -15,13 +15,14 @@ from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import DEFAULT, Window, require_window
 from earl_jax.report.runs import Columns, Curves, by_method, read
 from earl_jax.report.scores import seed_scores
-from earl_jax.runs.config import RunConfig
+from earl_jax.runs.config import DEPLOYED, RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
-from earl_jax.runs.table import COLUMNS
 
 Check = Callable[[Curves], Any]
 """A function that raises an error if curves lack what a report shows of them."""
+NEEDED = frozenset({*DEPLOYED.values(), "continuing/reward"})
+"""Metrics without which a run is not pooled; of the others, pooled runs keep those that all of them have."""
 MOST_CAUSES = 5
 """Most causes in the error that no run can be used."""
 
@@ -163,7 +164,7 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     """Return the curves of the seeds of all `parts`, over their common steps.
 
     Raises:
-        ValueError: they have no step in common, or one lacks a metric that every run has.
+        ValueError: they have no step in common, or one lacks a metric of `NEEDED`.
     """
     config, folders = parts[0].config, tuple(folder for part in parts for folder in part.runs)
     steps = functools.reduce(np.intersect1d, [part.steps for part in parts])
@@ -172,7 +173,7 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     metrics = {
         name: np.concatenate([part.metrics[name][:, np.isin(part.steps, steps)] for part in parts])
         for name in parts[0].metrics
-        if name in COLUMNS or all(name in part.metrics for part in parts)
+        if name in NEEDED or all(name in part.metrics for part in parts)
     }
     return Curves(config, steps, Columns(folders[0].path, metrics), folders, parts[0].window)
 

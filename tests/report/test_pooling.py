@@ -21,7 +21,7 @@ def test_runs_of_another_class_with_the_name_of_a_method_are_kept_apart_and_labe
 
 
 def test_pooled_runs_have_the_later_metrics_that_all_of_them_have_in_any_order(tmp_path):
-    more = {"continuing/alive": 1, "critic_loss": 0.1}
+    more = {"continuing/alive": 1, "critic_loss": 0.1, "interventions": 3}
     wide = {"a": {"deployed/success_wide": 0.25, **more}, "b": {"deployed/success_wide": 0.5}, "c": {}}
     paths = [
         write_run(tmp_path / name, TABLETOP, "naive", rising(1, 3), seeds=(seed,), metrics=metrics)
@@ -108,11 +108,11 @@ def test_a_run_that_does_not_fit_is_left_out_of_its_pool(tmp_path):
     for name, seeds in (("a", (0, 1)), ("b", (1, 2)), ("other", (3, 4))):
         write_page_run(tmp_path / name, "fbrl", rising(2, 2), seeds=seeds)
     table = tmp_path / "other/metrics.csv"
-    table.write_text(table.read_text().replace("reached", "renamed"))
+    table.write_text(table.read_text().replace("continuing/reward", "renamed"))
     [run], left_out = gather([tmp_path])
     assert run.run_seeds == [0, 1, 1, 2]
     assert list(left_out) == [tmp_path / "other"]
-    assert left_out[tmp_path / "other"].startswith(f"{table} has no column 'reached'")
+    assert left_out[tmp_path / "other"].startswith(f"{table} has no column 'continuing/reward'")
 
 
 def test_a_copy_is_left_out_and_a_seed_that_ran_twice_counts_once_by_its_mean(tmp_path):
