@@ -17,7 +17,7 @@ from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report import style
 from earl_jax.report.published import published_steps
 from earl_jax.report.tables import Row, error_text, write
-from earl_jax.runs.files import write_atomically
+from earl_jax.runs.files import written
 
 PAGES = Path(__file__).parent / "pages"
 METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
@@ -52,12 +52,10 @@ class Report(NamedTuple):
 
     def write(self, name: str, out: Path) -> list[Path]:
         """Write `name`*.csv, `name`.md and `name`.png into the folder `out`, and return them."""
-        out.mkdir(parents=True, exist_ok=True)
         tables = {out / f"{name}{end}.csv": rows for end, rows in self.tables.items()}
         for path, rows in tables.items():
             write(rows, path)
-        page = out / f"{name}.md"
-        write_atomically(page, self.text(name))
+        page = written(out / f"{name}.md", self.text(name))
         return [*tables, page, style.save(self.figure, out / f"{name}.png")]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import optional
-from earl_jax.runs.files import write_atomically
+from earl_jax.runs.files import written
 
 CRF = 26
 """Compression of a video, as a constant rate factor; artefacts are invisible at 18."""
@@ -41,7 +41,7 @@ def write_film(path: Path, images: Iterable[np.ndarray], fps: float, size: tuple
         with mediapy.VideoWriter(part, size, fps=fps, crf=CRF) as video:
             for image in images:
                 video.add_image(image)
-        return _written(path, part.read_bytes())
+        return written(path, part.read_bytes())
 
 
 def _write_animation(path: Path, images: Iterable[np.ndarray], fps: float) -> Path:
@@ -55,7 +55,7 @@ def _write_animation(path: Path, images: Iterable[np.ndarray], fps: float) -> Pa
     first, *rest = pictures
     duration = unit * max(1, round(1000 / fps / unit))
     first.save(film, save_all=True, append_images=rest, duration=duration, loop=0, **options)
-    return _written(path, film.getvalue())
+    return written(path, film.getvalue())
 
 
 def write_sheet(path: Path, shots: Iterable[Shot], columns: int) -> Path:
@@ -75,10 +75,4 @@ def write_sheet(path: Path, shots: Iterable[Shot], columns: int) -> Path:
         pen.text((x + width / 2, y + (height + row_height) / 2), caption, CAPTION_COLOUR, font, anchor="mm")
     content = io.BytesIO()
     sheet.quantize(256, kmeans=3).save(content, "PNG", optimize=True)
-    return _written(path, content.getvalue())
-
-
-def _written(path: Path, content: bytes) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, content)
-    return path
+    return written(path, content.getvalue())

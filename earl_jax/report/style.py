@@ -11,7 +11,7 @@ import numpy as np
 from earl_jax.envs import PAPER_TASKS, list_envs
 from earl_jax.errors import optional
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.runs.files import write_atomically
+from earl_jax.runs.files import written
 
 TITLES = {"dhand_lightbulb": "DHand lightbulb"}
 """The titles of tasks whose name does not tell how to write it."""
@@ -51,11 +51,9 @@ def new_figure(rows: int, columns: int, size: tuple[float, float], **options: An
 
 def save(figure: Any, path: Path) -> Path:
     """Write `figure` to `path` and return the path."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     content = io.BytesIO()
     figure.savefig(content, format=path.suffix[1:], dpi=150)
-    write_atomically(path, content.getvalue())
-    return path
+    return written(path, content.getvalue())
 
 
 def draw_band(axis: Any, x: Any, estimate: Estimate, color: Any, alpha: float = 0.15, **line: Any) -> None:

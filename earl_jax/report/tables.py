@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import diverged_text
+from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves, checked_labels, labels, options_text
 from earl_jax.report.scores import LEVELS, interval_of, row_of, seed_scores
-from earl_jax.runs.files import write_atomically
+from earl_jax.runs.files import written
 
 Row = dict[str, Any]
 Column = tuple[str, Callable[[Row], Any]]
@@ -113,7 +114,8 @@ def run_table(rows: Sequence[Row]) -> Table:
         mean = (f"{rows[0]['metric']}, mean [95 %]", lambda row: _interval(row, "mean", ("low", "high"), ".4g"))
         return Table.of([*NAMES, ("seeds", lambda row: row["seeds"]), STEPS, mean], rows, [score, *options])
     life = [(name, cell) for name, cell in LIFE if any(cell(row) != "-" for row in rows)]
-    return Table.of([*COLUMNS, *life], rows, [score, *([LEGEND] if life else []), *options])
+    crossed = [CROSSED] if any(row["seeds_above_half"] is not None for row in rows) else []
+    return Table.of([*COLUMNS, *life], rows, [score, *crossed, *([LEGEND] if life else []), *options])
 
 
 def _interval(row: Row, name: str, ends: Sequence[str] = (), style: str = ".3f") -> str:
@@ -156,6 +158,10 @@ LIFE: tuple[Column, ...] = (
     _number("still", "still_steps", ",.0f"),
 )
 """Columns that are shown if a row has a value for them."""
+CROSSED = (
+    f"to {' and to '.join(map(str, LEVELS))}: the step at which the mean success over the last {CROSSING_WINDOW:,} steps first "
+    "reaches it."
+)
 LEGEND = (
     "Means over seeds in the same window: wide, success from wide starts; forward and back, the share of phases that reached "
     "their goal; alive, 1 unless a direction has missed its goal for long; still, steps since the object moved."
@@ -175,8 +181,7 @@ def write(rows: Sequence[Row], path: Path, table: Callable[[Sequence[Row]], Tabl
     }
     if path.suffix not in texts:
         raise InputError(f"{path}: tables are written as .md, .tex or .csv")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, texts[path.suffix]())
+    written(path, texts[path.suffix]())
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -94,6 +94,16 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         raise OSError(f"{path} can't be written: {error.strerror or error}") from error
 
 
+def written(path: Path, content: str | bytes) -> Path:
+    """Return `path` after `write_atomically` there, in a folder that is created if necessary."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"{path} can't be written: {error.filename}: {error.strerror}") from error
+    write_atomically(path, content)
+    return path
+
+
 def append(path: Path, content: str) -> None:
     """Append to the file at `path`, which is created if necessary. Errors as `opened`."""
     _write(path, "ab", content)

@@ -61,7 +61,9 @@ def test_crossings_are_read_over_the_last_100_000_steps_with_an_interval(tmp_pat
     steps, late = list(range(20_000, 500_001, 20_000)), [[0.0] * n + [1.0] * (25 - n) for n in (10, 11, 12)]
     [row] = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", late, steps=steps, metrics=REWARDS)])
     assert [row[f"steps_to_0.5{end}"] for end in ("_low", "", "_high")] == [220_000, 280_000, 340_000]
-    assert "| 0.28M [0.22M, 0.34M] |" in tables.run_table([row]).text()
+    text = tables.run_table([row]).text()
+    assert "| 0.28M [0.22M, 0.34M] |" in text
+    assert "to 0.5 and to 0.9: the step at which the mean success over the last 100,000 steps first reaches it" in text
 
 
 def test_tables_are_written_as_markdown_latex_and_csv(tmp_path):

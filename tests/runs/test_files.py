@@ -10,7 +10,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from earl_jax.runs.files import RunWarning, append, inside, locked, read_bytes, write_atomically
+from earl_jax.runs.files import RunWarning, append, inside, locked, read_bytes, write_atomically, written
 
 HOLD_LOCK = (
     "import sys, time; from pathlib import Path; from earl_jax.runs.files import locked\n"
@@ -80,6 +80,13 @@ def test_a_file_that_is_another_or_a_pipe_is_not_opened(tmp_path, kind):
     with pytest.raises(ValueError, match=kind):
         read_bytes(path, 99)
     assert (tmp_path / "victim").read_text() == "mine"
+
+
+def test_a_file_in_the_place_of_a_folder_is_named(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OSError, match=r"new\.csv can't be written: \S*/file: File exists"):
+        written(tmp_path / "file" / "new.csv", "")
+    assert written(tmp_path / "a" / "b", "new").read_text() == "new"
 
 
 @pytest.mark.parametrize("code", ["ENOSYS", "ENOTSUP", "EOPNOTSUPP", "ENOLCK"])

@@ -25,7 +25,7 @@ from earl_jax.report.pooling import find_runs, gather
 from earl_jax.report.runs import Curves
 from earl_jax.report.scores import row_of, seed_scores
 from earl_jax.runs.contents import FILES
-from earl_jax.runs.files import RunWarning, write_atomically
+from earl_jax.runs.files import RunWarning, written
 
 TEMPLATES = Path(__file__).parent / "templates"
 LEAST_SECONDS = 1.0
@@ -72,9 +72,7 @@ def write_page(
         numbers=_packed(json.dumps(plots, allow_nan=False)),
         hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in (script, plotly)),
     )
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(out, page.encode("ascii", "xmlcharrefreplace").decode())
-    return out
+    return written(out, page.encode("ascii", "xmlcharrefreplace").decode())
 
 
 def _check(curves: Curves) -> None:
@@ -83,7 +81,7 @@ def _check(curves: Curves) -> None:
     if WIDE in curves.metrics:
         seed_scores(curves, metric=WIDE)
     for metric in (curves.deployed_metric, "interventions"):
-        if not np.isfinite(curves.metrics[metric]).all():
+        if not np.isfinite(curves.metrics.get(metric, 0)).all():
             raise InputError(f"{metric} is not finite")
 
 

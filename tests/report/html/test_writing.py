@@ -78,6 +78,8 @@ def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
     for number, values in enumerate(odd):
         change_config(write_page_run(tmp_path / f"odd{number}", "fbrl", rising(1, 2), seeds=[number]), **values)
     (tmp_path / "odd0/policies.npz").write_bytes(b"x")
+    table = tmp_path / "odd1/metrics.csv"
+    table.write_text(table.read_text().replace("interventions", "other"))
     write_page_run(tmp_path / "endless", "r3l", rising(2, 2), metrics={"interventions": np.inf})
     write_page_run(tmp_path / "unknown", "oracle", [[0.5, np.nan]])
     write_page_run(tmp_path / "narrow", "risc", rising(2, 2), metrics={"deployed/success_wide": np.nan})
