@@ -152,10 +152,8 @@ def _verdicts_table(results: Sequence[Row]) -> str:
     header = ["task", "measure", "FBRL", "oracle", "FBRL minus oracle", "p", "adjusted p", "verdict"]
     lines = []
     for row in results:
-        means = [f"{row[algo]:.3f}" for algo in METHODS]
-        lines.append(
-            [row["env"], row["measure"].replace("_", " "), *means, *compared_texts(row, ".3f")[:-1], word(row)]
-        )
+        means, tests = [f"{row[algo]:.3f}" for algo in METHODS], compared_texts(row, ".3f")[:-1]
+        lines.append([row["env"], row["measure"].replace("_", " "), *means, *tests, word(row)])
     return markdown_table(header, lines)
 
 
@@ -177,10 +175,8 @@ def _draw(maps: Sequence[VisitMap]) -> Any:
         own = {part.algo: part.shares for part in maps if part.env == name}
         norm = _colour_norm(list(own.values()))
         for algo, values in own.items():
-            title = f"{task_title(name)}, {method_title(algo)}"
-            _draw_map(
-                line[algos.index(algo)], task_map, np.ma.masked_equal(values, 0), title, norm=norm, cmap="viridis"
-            )
+            axis, title = line[algos.index(algo)], f"{task_title(name)}, {method_title(algo)}"
+            _draw_map(axis, task_map, np.ma.masked_equal(values, 0), title, norm=norm, cmap="viridis")
         if set(PAIR) <= own.keys():
             larger = difference(*(own[algo] for algo in PAIR))
             _draw_map(line[-1], task_map, larger, " minus ".join(map(method_title, PAIR)), **signs)

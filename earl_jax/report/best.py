@@ -58,9 +58,8 @@ def best(
     """
     if test not in TESTS:
         raise InputError(f"unknown test {test!r}; choose from {', '.join(TESTS)}")
-    tasks = grouped(
-        read_methods(folders, window, metric), lambda curves: (curves.env, metric or curves.deployed_metric)
-    )
+    methods = read_methods(folders, window, metric)
+    tasks = grouped(methods, lambda curves: (curves.env, metric or curves.deployed_metric))
     return [row for runs in tasks.values() for row in _ranked(runs, test, metric)]
 
 

@@ -87,13 +87,13 @@ def compare(
     if against == "published":
         rows = published_rows(runs, metric)
     else:
-        pairs = [pair for pair in itertools.combinations(runs, 2) if pair[0].env == pair[1].env]
-        causes = [_cause_apart(*pair, metric) for pair in pairs]
-        for (first, second), cause in zip(pairs, causes, strict=True):
-            if cause:
+        rows = []
+        for first, second in (pair for pair in itertools.combinations(runs, 2) if pair[0].env == pair[1].env):
+            if cause := _cause_apart(first, second, metric):
                 apart = f"{first.label} and {second.label} on {first.env} are not compared"
                 warnings.warn(f"{apart}: {cause}", RunWarning, stacklevel=2)
-        rows = [pair_row(*pair, metric) for pair, cause in zip(pairs, causes, strict=True) if not cause]
+            else:
+                rows.append(pair_row(first, second, metric))
     if not rows:
         choices = "two methods on one task, or --against published"
         if against == "published":
@@ -135,9 +135,7 @@ def published_rows(runs: Sequence[Curves], metric: str | None = None) -> list[Ro
     They are with the released runs at each of `AGES`, by the deployed score or another `metric`, or with the printed score of
     a task without such runs.
     """
-    return [
-        row for curves in runs for row in _released_rows(curves, metric) or ([] if metric else _printed_rows(curves))
-    ]
+    return [row for run in runs for row in _released_rows(run, metric) or ([] if metric else _printed_rows(run))]
 
 
 def _released_rows(curves: Curves, metric: str | None) -> list[Row]:
@@ -165,12 +163,7 @@ def _printed_rows(curves: Curves) -> list[Row]:
 
 
 def _row(
-    first: Curves,
-    step: int,
-    scores: np.ndarray,
-    name: str,
-    other: np.ndarray | Sample,
-    metric: str | None = None,
+    first: Curves, step: int, scores: np.ndarray, name: str, other: np.ndarray | Sample, metric: str | None = None
 ) -> Row:
     own, test = interval_of(first, scores, metric), comparison_columns(scores, other)
     return {

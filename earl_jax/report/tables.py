@@ -158,10 +158,7 @@ LIFE: tuple[Column, ...] = (
     _number("still", "still_steps", ",.0f"),
 )
 """Columns that are shown if a row has a value for them."""
-CROSSED = (
-    f"to {' and to '.join(map(str, LEVELS))}: the step at which the mean success over the last {CROSSING_WINDOW:,} steps first "
-    "reaches it."
-)
+CROSSED = f"to {LEVELS[0]}: the first step at which the mean success over {CROSSING_WINDOW:,} steps reaches it."
 LEGEND = (
     "Means over seeds in the same window: wide, success from wide starts; forward and back, the share of phases that reached "
     "their goal; alive, 1 unless a direction has missed its goal for long; still, steps since the object moved."

@@ -200,9 +200,8 @@ def test_failed_runs_are_named_after_the_files_of_the_others_and_the_exit_code_i
     ],
 )
 def test_invalid_arguments_are_reported_and_start_no_run(tmp_path, arguments, message):
-    grid = tmp_path / "out" / f"{arguments['name']}.toml"
-    grid.parent.mkdir()
+    grid = tmp_path / f"{arguments['name']}.toml"
     grid.write_text("# the runs of an earlier call")
     with pytest.raises(ValueError, match=message):
-        reproduce.reproduce(**{"out": grid.parent, **arguments})
-    assert {path: path.read_text() for path in grid.parent.iterdir()} == {grid: "# the runs of an earlier call"}
+        reproduce.reproduce(**{"out": tmp_path, **arguments})
+    assert {path: path.read_text() for path in tmp_path.iterdir()} == {grid: "# the runs of an earlier call"}

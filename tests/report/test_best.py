@@ -40,14 +40,11 @@ def test_runs_are_ranked_and_tested_against_the_best(tmp_path):
     assert (rows[0]["low"], rows[0]["high"]) == mean_interval(np.array(GOOD), rate=True)[1:]
 
 
-def test_a_window_of_another_kind_is_refused_before_any_run_is_read(tmp_path):
+def test_a_window_of_another_kind_and_an_unknown_test_are_refused_before_any_run_is_read(tmp_path):
     with pytest.raises(InputError, match=r"must be a Window, such as Window\(last=5\), not 5"):
         best([tmp_path], window=5)
-
-
-def test_an_unknown_test_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="unknown test 't'; choose from permutation, welch"):
-        best([write_cells(tmp_path, good=GOOD)], test="t")
+    with pytest.raises(InputError, match="unknown test 't'; choose from permutation, welch"):
+        best([tmp_path], test="t")
 
 
 def test_runs_that_share_the_highest_score_are_tied(tmp_path):

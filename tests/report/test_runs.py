@@ -52,9 +52,7 @@ def test_labels_have_the_options_that_differ_also_of_learners_settings_and_unkno
 
 
 def test_a_known_method_on_an_unknown_task_is_labelled_with_its_own_default(tmp_path):
-    paths = [
-        write_run(tmp_path / str(scale), TABLETOP, "fbrl", rising(1, 1), reward_scale=scale) for scale in (1.0, 10.0)
-    ]
+    paths = [write_run(tmp_path / str(n), TABLETOP, "fbrl", rising(1, 1), reward_scale=n) for n in (1.0, 10.0)]
     for path in paths:
         change_config(path, env="theirs")
     assert labels(read_all(paths)) == ["fbrl (reward_scale=1)", "fbrl (reward_scale=10)"]

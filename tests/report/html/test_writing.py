@@ -15,7 +15,7 @@ from earl_jax.report.html.writing import watch_page, write_page
 from earl_jax.runs.files import RunWarning
 from tests.cli.process import run
 from tests.report.html.conftest import EVIL, Reader
-from tests.report.run_files import change_config, rising, write_page_run
+from tests.report.run_files import TABLETOP, change_config, rising, write_page_run, write_run
 
 pytest.importorskip("jinja2", reason="reports need the extra 'report'")
 pytest.importorskip("plotly", reason="reports need the extra 'report'")
@@ -78,12 +78,10 @@ def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
     for number, values in enumerate(odd):
         change_config(write_page_run(tmp_path / f"odd{number}", "fbrl", rising(1, 2), seeds=[number]), **values)
     (tmp_path / "odd0/policies.npz").write_bytes(b"x")
-    table = tmp_path / "odd1/metrics.csv"
-    table.write_text(table.read_text().replace("interventions", "other"))
     write_page_run(tmp_path / "endless", "r3l", rising(2, 2), metrics={"interventions": np.inf})
     write_page_run(tmp_path / "unknown", "oracle", [[0.5, np.nan]])
     write_page_run(tmp_path / "narrow", "risc", rising(2, 2), metrics={"deployed/success_wide": np.nan})
-    write_page_run(tmp_path / "huge", "naive", [[1e200, -1e200], [1e308, 1e308]])
+    write_run(tmp_path / "huge", TABLETOP, "naive", [[1e200, -1e200], [1e308, 1e308]], metrics={"continuing/reward": 1})
     causes = {
         "offline": {"setting": {"name": "offline"}},
         "reward_type must be one of sparse, dense, not 5": {"reward_type": 5},
