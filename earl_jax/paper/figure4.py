@@ -86,7 +86,7 @@ def _parts(methods: Sequence[Row]) -> dict[str, str]:
     lines = []
     for row in methods:
         successes = [interval_text(*estimate_of(row, name, f"{name}_")) for name in ("initial", "uniform")]
-        drop = interval_text(*(100 * end for end in estimate_of(row, "drop", "drop_")), ".1f")
+        drop = interval_text(*(100 * end for end in estimate_of(row, "drop", "drop_")), style=".1f")
         lines.append([row["algo"], row["seeds"], *successes, drop, _percent(row["published_drop"]), row["verdict"]])
     header = ["method", "seeds", "from s0", "from uniform starts", "drop, %", "published drop", "verdict"]
     missing = [name for row in assets.published("figure4") if (name := row["algo"]) not in {m["algo"] for m in methods}]
