@@ -110,9 +110,8 @@ def _draw(methods: Sequence[Row]) -> Any:
         text = f"Drop {_percent(row['drop'])}\npublished {_percent(row['published_drop'])}"
         axis.text(position, 1.06, text, ha="center", va="bottom", fontsize="small")
     axis.set_xticks(range(len(methods)), [method_title(row["algo"]) for row in methods])
-    axis.set(
-        ylim=(0, 1.25), xlim=(-0.6, len(methods) - 0.4), ylabel=AXES["deployed/success"], yticks=np.linspace(0, 1, 6)
-    )
+    limits = {"xlim": (-0.6, len(methods) - 0.4), "ylim": (0, 1.25)}
+    axis.set(**limits, ylabel=AXES["deployed/success"], yticks=np.linspace(0, 1, 6))
     axis.grid(axis="y", alpha=0.3)
     axis.set_axisbelow(True)
     initial, uniform = Patch(color="0.4"), Patch(facecolor="0.4", alpha=0.45, hatch="//")

@@ -114,11 +114,8 @@ def _draw(runs: Sequence[Curves]) -> Any:
 
 def _draw_method(column: Any, curves: Curves, colour: str, line_style: str) -> None:
     """Draw both curves of a method, published final values as dashes at the right edge, and crossings as crosses."""
-    drawn = {
-        curves.deployed_metric: trailing(curves.metrics[curves.deployed_metric]),
-        CONTINUING: curves.metrics[CONTINUING],
-    }
-    label = method_title(curves.label)
+    label, metrics, deployed = method_title(curves.label), curves.metrics, curves.deployed_metric
+    drawn = {deployed: trailing(metrics[deployed]), CONTINUING: metrics[CONTINUING]}
     for axis, (metric, values), table in zip(column, drawn.items(), ("table1", "table2"), strict=True):
         draw_band(axis, curves.steps, interval_of(curves, values, metric), colour, linestyle=line_style, label=label)
         if final := published_beside(table, curves):

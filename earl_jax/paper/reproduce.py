@@ -24,6 +24,7 @@ from earl_jax.paper.figure4 import FIGURE4
 from earl_jax.paper.figure5 import FIGURE5
 from earl_jax.paper.score_tables import TABLE1, TABLE2
 from earl_jax.paper.tradeoff import TRADEOFF
+from earl_jax.report.style import matplotlib
 from earl_jax.runs.files import write_atomically
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
@@ -91,6 +92,7 @@ def reproduce(
         ValueError: a name, task or option is unknown, or the folder holds other runs; the message says which.
     """
     limit = TimeLimit.of(minutes)
+    matplotlib()  # which the report needs, before any training
     text = grid_text(name, scale, tasks, seeds, steps, options)
     out = Path(out or f"runs/reproduce-{scale}")
     out.mkdir(parents=True, exist_ok=True)

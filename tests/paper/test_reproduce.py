@@ -1,6 +1,7 @@
 """Every table and figure by one command, end to end at the smallest scale, and the runs that the larger scales plan."""
 
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -181,6 +182,13 @@ def test_failed_runs_are_named_after_the_files_of_the_others_and_the_exit_code_i
     code, output, _ = run("reproduce", "figure2", "--out", tmp_path)
     lines = ["figure2 is not written; no run of it has reached an evaluation", "failed runs: a, b"]
     assert (code, output.splitlines()) == (1, lines)
+
+
+def test_a_missing_library_is_named_before_any_training(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(ValueError, match="plots need matplotlib"):
+        reproduce.reproduce("table1", out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.usefixtures("in_process")

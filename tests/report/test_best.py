@@ -68,10 +68,8 @@ def test_another_metric_changes_the_ranking(tmp_path):
         metrics = {"continuing/reward": reward}
         write_run(tmp_path / str(scale), TABLETOP, "naive", constant(score), metrics=metrics, reward_scale=scale)
     rows = json.loads(succeed("best", tmp_path, "--metric", "continuing/reward", "--json"))["rows"]
-    assert [(row["options"], row["metric"], row["score"]) for row in rows] == [
-        ("reward_scale=2", "continuing/reward", 0.3),
-        ("reward_scale=1", "continuing/reward", 0.1),
-    ]
+    assert [(row["options"], row["score"]) for row in rows] == [("reward_scale=2", 0.3), ("reward_scale=1", 0.1)]
+    assert {row["metric"] for row in rows} == {"continuing/reward"}
 
 
 def test_a_run_without_a_value_of_a_metric_is_left_out_of_the_ranking(tmp_path):

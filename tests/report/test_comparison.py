@@ -161,11 +161,8 @@ def test_returns_of_thousands_are_written_without_an_exponent(tmp_path):
 
 
 def test_another_metric_is_compared_by_its_name(tmp_path):
-    wide = {"naive": GOOD, "fbrl": BAD}
-    paths = [
-        write_run(tmp_path / algo, TABLETOP, algo, constant(*BAD), metrics={"deployed/success_wide": constant(*scores)})
-        for algo, scores in wide.items()
-    ]
+    wide = {algo: {"deployed/success_wide": constant(*own)} for algo, own in (("naive", GOOD), ("fbrl", BAD))}
+    paths = [write_run(tmp_path / algo, TABLETOP, algo, constant(*BAD), metrics=own) for algo, own in wide.items()]
     assert compare(paths)[0]["difference"] == 0
     [row] = compare(paths, metric="deployed/success_wide")
     assert row["difference"] == pytest.approx(np.mean(GOOD) - np.mean(BAD))
