@@ -14,7 +14,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from earl_jax.errors import InputError
-from earl_jax.options.values import TimeLimit, parse_whole
+from earl_jax.options.values import TimeLimit, parse_number, parse_whole
 
 SEEDS = "--seeds"
 SEED_TOKEN = re.compile(r"[\d_:,]+")
@@ -133,7 +133,7 @@ def parse_options(pairs: Iterable[str]) -> dict[str, Any]:
         if not equals:
             raise InputError(f"--set takes name=value, not {pair!r}")
         try:
-            options[name] = json.loads(text)
+            options[name] = json.loads(text, parse_float=parse_number)
         except json.JSONDecodeError:
             options[name] = text
         except (ValueError, RecursionError) as error:

@@ -268,6 +268,13 @@ def parse_whole(text: str) -> int:
     return int(parts[1] + decimals) * 10 ** (exponent - len(decimals))
 
 
+def parse_number(text: str) -> int | float:
+    """Return a number with a point or an exponent: a count such as 1e6 as an int, any other number as a float."""
+    number = float(text)
+    is_count = "e" in text.lower() and number.is_integer() and abs(number) <= LARGEST_INT
+    return int(number) if is_count else number
+
+
 class TimeLimit(NamedTuple):
     """A limit of `minutes` that `ends_at` a time of the monotonic clock, which all processes of this machine share."""
 

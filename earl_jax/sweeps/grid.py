@@ -18,6 +18,7 @@ from earl_jax.options import imports
 from earl_jax.options.presets import Preset, named_preset
 from earl_jax.options.schedule import FIELDS, Schedule
 from earl_jax.options.seeds import seed_list
+from earl_jax.options.values import parse_number
 
 KEYS = ("preset", "envs", "algos", "seeds", *FIELDS, "options")
 MOST_RUNS = 10_000
@@ -65,11 +66,11 @@ def read(path: Path) -> list[RunSpec]:
 def read_table(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file, without the files of its `import`, which are run. Errors as `read`."""
     try:
-        table = tomllib.loads(path.read_text("utf-8-sig"))
+        table = tomllib.loads(path.read_text("utf-8-sig"), parse_float=parse_number)
+        for file in _names(table, "import") if "import" in table else ():
+            imports.note(os.path.abspath(path.parent / file))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} can't be read: {error}") from error
-    for file in _names(table, "import") if "import" in table else ():
-        imports.note(os.path.abspath(path.parent / file))
     imports.run_noted()
     return {key: value for key, value in table.items() if key != "import"}
 
@@ -88,7 +89,7 @@ def block_specs(block: dict[str, Any]) -> Iterator[RunSpec]:
     """Yield the run of every combination in one block of a grid. Errors as `read`."""
     for key in block:
         if key not in KEYS:
-            raise InputError(f"unknown key {key!r}; choose from import, {', '.join(KEYS)}, or a [[runs]] table of them")
+            raise InputError(f"unknown key {key!r}; choose from {', '.join(KEYS)}; above [[runs]], import is one too")
     envs, algos = _names(block, "envs"), _names(block, "algos")
     for env in envs:
         preset = named_preset(str(block["preset"]), env, block.get("steps")) if "preset" in block else Preset()

@@ -184,6 +184,11 @@ def test_whole_numbers_can_have_an_exponent(text, number):
     assert isinstance(parse_whole(text), int)
 
 
+def test_an_option_is_a_whole_number_as_any_argument_is():
+    options = parse_options(["size=1e6", "rates=[1e-3,1.0,2.5e1,1e10]"])
+    assert repr(options) == "{'size': 1000000, 'rates': [0.001, 1.0, 25, 10000000000.0]}"
+
+
 @pytest.mark.parametrize("text", ["1.5", "2.55e1", "1_e6", "1e-3", "1e400", "1e19", "e6", "", "nan", "1e", "9" * 5000])
 def test_a_number_that_is_not_whole_or_too_large_is_refused(text):
     with pytest.raises(ValueError, match="whole number"):

@@ -29,9 +29,10 @@ def test_every_combination_is_a_run_with_its_own_folder(tmp_path):
     assert (first.seeds, first.schedule) == ((0, 1), Schedule(steps=400))
 
 
-def test_an_option_can_be_null(tmp_path):
-    specs = read(tmp_path, f"{RUN}options.replay_capacity = ['null', 1000]")
-    assert [spec.options["replay_capacity"] for spec in specs] == [None, 1000]
+def test_an_option_can_be_null_and_a_whole_number_can_have_an_exponent(tmp_path):
+    specs = read(tmp_path, f"{RUN}steps = 1e3\noptions.replay_capacity = ['null', 1e3]")
+    values = [(spec.schedule.steps, spec.options["replay_capacity"]) for spec in specs]
+    assert repr(values) == "[(1000, None), (1000, 1000)]"
     assert [spec.name for spec in specs] == ["e/a/replay_capacity=null", "e/a/replay_capacity=1000"]
 
 
@@ -97,7 +98,10 @@ def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
         (f"seeds = {'9' * 5000}", "can't be read"),
         (f"seeds = {'[' * 5000}", "can't be read"),
         ("\x00\x01", "can't be read"),
-        (f"{RUN}step = 3", "unknown key 'step'; choose from import, preset, envs, algos"),
+        (f"{RUN}step = 3", "unknown key 'step'; choose from preset, envs, algos"),
+        (f"{RUN}[[runs]]\nimport = 'a.py'", r"above \[\[runs\]\], import is one too"),
+        (f"{RUN}import = []", r"grid\.toml can't be read: import must contain at least one name"),
+        (f"{RUN}import = 'a.py'", r"grid\.toml can't be read: .*a\.py can't be imported: there is no such file"),
         (f"{RUN}preset = 'huge'", "unknown preset 'huge'; choose from paper, quick, strong"),
         ("envs = 'e'", "algos must contain at least one name"),
         ("envs = []\nalgos = 'a'", "envs must contain at least one name"),
