@@ -40,9 +40,11 @@ def check_kind(path: Path, kind: int = stat.S_IFREG) -> None:
 
 
 def check_local(path: Path) -> None:
-    """Raise an InputError if `path` is an address, such as gs://bucket/run, of which pathlib would make a folder here."""
+    """Raise an InputError if `path` is a file, or an address, such as gs://bucket/run, of which pathlib makes a folder."""
     if re.match("[a-z][a-z0-9]+:/", path.as_posix()):
         raise InputError(f"{path} is an address, and runs are written to local folders; choose one and copy it there")
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path} exists and is not a folder; choose another folder")
 
 
 def opened(path: Path, mode: Literal["rb", "wb", "ab"] = "rb") -> BinaryIO:

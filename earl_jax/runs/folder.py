@@ -220,8 +220,6 @@ class RunFolder:
 def _require_free(path: Path, overwrite: bool) -> None:
     """Raise an InputError if the folder at `path` holds results, unless `overwrite`, or files that are not a run's."""
     check_local(path)
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path} exists and is not a folder; choose another folder")
     in_the_way = contents.has_results(path) and not overwrite
     if in_the_way and (path / CONFIG).is_file():
         raise InputError(

@@ -15,14 +15,15 @@ import numpy as np
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import final_scores
 from earl_jax.options.schedule import Schedule
-from earl_jax.options.values import COUNT, COUNT_OR_NEVER, TimeLimit, counted, require
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, TimeLimit, require
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG
-from earl_jax.runs.files import check_kind, locked
+from earl_jax.runs.files import check_kind, check_local, locked
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.space import check_ends, option, optuna, read_space
-from earl_jax.sweeps.worker import planned_run, work
+from earl_jax.sweeps.worker import planned_run, require_same, work
+from earl_jax.training.devices import lane_mesh
 from earl_jax.training.stopping import Stopped
 
 TRIALS = "search.journal"
@@ -62,27 +63,24 @@ def search(
         devices, emit, minutes: as those of `launcher.sweep`.
 
     Raises:
-        ValueError: Optuna is not installed, the file or a number is invalid, the seeds do not divide over the devices, or
-            `out` has another search.
+        ValueError: Optuna is not installed, the file or a number is invalid, the devices are too few or the seeds do not
+            divide over them, or `out` is no local folder or has another search.
     """
-    sharing = 1 if devices is None else devices
-    for name, number in {"trials": trials, "batch": batch, "rungs": rungs, "devices": sharing}.items():
+    for name, number in {"trials": trials, "batch": batch, "rungs": rungs}.items():
         require(name, number, COUNT)
     require("seed", seed, COUNT_OR_NEVER)  # the number of a trial is added, and the sum is a seed of NumPy
     optuna()
     base, spaces, sampler = read_space(space)
     check_ends(base, spaces)
-    if len(base.seeds) % sharing:
-        raise InputError(
-            f"a search needs seeds that divide over its {sharing} devices, not {counted(len(base.seeds), 'seed')}, "
-            "because its programs lose trials at every rung"
-        )
+    lane_mesh(devices, len(base.seeds))  # those of a single trial, because programs lose trials at every rung
     rung_steps = _rung_steps(base.schedule, rungs)
     limit = TimeLimit.of(minutes)
+    check_local(out)
     out.mkdir(parents=True, exist_ok=True)
     with locked(out):
-        study = _open_study(out / TRIALS, repr((base, spaces, sampler, rung_steps, seed)))
-        state = Search(base, spaces, out, rung_steps, study, emit, devices, limit)
+        values = _values(base, spaces) | {"sampler": repr(sampler), "rungs": repr(rung_steps), "seed": repr(seed)}
+        study, storage = _open_study(out / TRIALS, values)
+        state = Search(base, spaces, out, rung_steps, study, storage, emit, devices, limit)
         while (ended := state.train_batch()) and len(study.trials) < trials:  # first what an earlier call began
             for number in range(len(study.trials), min(len(study.trials) + batch, trials)):
                 study.sampler = _sampler(sampler, seed, number)
@@ -94,13 +92,14 @@ def search(
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """A search in the folder `out`: its common run `base`, Optuna's `spaces` of the options, its `rung_steps` and its study."""
+    """A search in the folder `out`: its common run `base`, Optuna's `spaces`, its `rung_steps`, and its study in a `storage`."""
 
     base: grid.RunSpec
     spaces: dict[str, Any]
     out: Path
     rung_steps: tuple[int, ...]
     study: Any
+    storage: Any
     emit: Callable[[str], None]
     devices: int | None
     limit: TimeLimit | None
@@ -129,13 +128,19 @@ class Search:
             for trial, spec in zip(trials, specs, strict=True):
                 score = _score(self.out / spec.name, steps)
                 if score is not None:
-                    self.study._storage.set_trial_intermediate_value(trial._trial_id, steps, score)
+                    self._report(trial, steps, score)
                 elif self.limit and self.limit.passed:
                     return False
                 else:
                     self.study.tell(trial.number, state=optuna().trial.TrialState.FAIL)
             self._conclude(steps)
         return True
+
+    def _report(self, trial: Any, steps: int, score: float) -> None:
+        """Write a score of a trial, which Optuna's own `report` can do only in the process that asked for the trial."""
+        study = self.storage.get_study_id_from_name(self.study.study_name)
+        own = self.storage.get_trial_id_from_study_id_trial_number(study, trial.number)
+        self.storage.set_trial_intermediate_value(own, steps, score)
 
     def _train(self, specs: Sequence[grid.RunSpec]) -> None:
         """Train the runs `specs` to their steps, and emit the causes of those that fail."""
@@ -213,18 +218,25 @@ def _score(path: Path, steps: int) -> float | None:
     return float(final_scores(table.steps, table.metrics[folder.config.deployed_metric]).mean())
 
 
-def _open_study(path: Path, identity: str) -> Any:
-    """Return the study in the journal at `path`, which is created if necessary; `identity` is what it must have begun with."""
+def _values(base: grid.RunSpec, spaces: dict[str, Any]) -> dict[str, str]:
+    """Return the values of a space file by name, as texts."""
+    values = dataclasses.asdict(base.schedule) | {"env": base.env, "algo": base.algo, "seeds": base.seeds}
+    values |= {f"options.{name}": value for name, value in {**base.options, **spaces}.items()}
+    return {name: repr(value) for name, value in values.items()}
+
+
+def _open_study(path: Path, values: dict[str, str]) -> tuple[Any, Any]:
+    """Return the study in the journal at `path`, created if necessary, and its storage; it must have begun with `values`."""
     module = optuna()
     check_kind(path)
     path.with_name(f"{TRIALS}.lock").unlink(missing_ok=True)  # a kill leaves it; the folder has its own lock
     try:
         storage = module.storages.JournalStorage(module.storages.journal.JournalFileBackend(str(path)))
         study = module.create_study(storage=storage, study_name="search", direction="maximize", load_if_exists=True)
+        begun = dict(study.user_attrs.get("search", values))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         cause = f"{type(error).__name__}: {error}"  # the repr of an error of UTF-8 holds the whole file
         raise InputError(f"{path} is damaged: {cause}; restore it, or delete it to start again") from error
-    if study.user_attrs.setdefault("search", identity) != identity:
-        raise InputError(f"{path} is of a search with other values; choose another --out, or the values that it had")
-    study.set_user_attr("search", identity)
-    return study
+    require_same(f"{path} is of a search", begun, values)
+    study.set_user_attr("search", values)
+    return study, storage

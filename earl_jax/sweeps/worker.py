@@ -5,7 +5,7 @@ import dataclasses
 import gc
 import json
 import traceback
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -114,10 +114,7 @@ def _described(group: list[PlannedRun]) -> dict[str, Any]:
 def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
     """Return a run of a grid, after all checks that are possible before training. Errors as `plan`."""
     run, path = resolved_run(spec), out / spec.name
-    try:
-        step = _reached(open_folder(path, run.config)) if has_results(path) else 0
-    except InputError as error:
-        raise InputError(f"{spec.name}: {error}") from error
+    step = _reached(open_folder(path, run.config)) if has_results(path) else 0
     return PlannedRun(name=spec.name, run=run, step=step)
 
 
@@ -150,17 +147,23 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
     """
     folder = RunFolder.open(path)
     existing, wanted = folder.config.values, config.values
-    differing = [name for name in wanted if existing[name] != wanted[name]]
-    shorter = differing == ["steps"] and folder.config.steps < config.steps
-    if differing and not shorter:
-        differences = "; ".join(f"{name} {existing[name]} there, {wanted[name]} in the grid" for name in differing)
-        raise InputError(
-            f"{path} holds a run that differs ({differences}); choose another --out, or change the grid to match"
-        )
+    shorter = folder.config.steps < config.steps and existing | {"steps": config.steps} == wanted
+    if not shorter:
+        require_same(f"{path} holds a run", existing, wanted)
     step = folder.require_resumable().step
     if shorter:
         require_checkpoint(folder, step)
     return folder
+
+
+def require_same(owner: str, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Raise an InputError with the values that differ unless `owner`, which has those of `there`, has the ones `wanted`."""
+    names = [name for name in {**there, **wanted} if there.get(name) != wanted.get(name)]
+    if names:
+        differences = "; ".join(f"{name} {there.get(name)} there, {wanted.get(name)} here" for name in names)
+        raise InputError(
+            f"{owner} that differs ({differences}); choose another --out, or take the values that are there"
+        )
 
 
 @package_types()
@@ -245,8 +248,7 @@ def _serve_grid(task: dict[str, Any]) -> int:
     try:
         _run_imports(task)
         check_logs(task.get("logs", ()))
-        planned = plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])
-        answer = {"state": "planned", "plan": planned}
+        answer = {"state": "planned", "plan": plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])}
     except Exception as error:
         answer = {"state": "refused", "detail": _cause(error)}
     print(json.dumps(answer), flush=True)

@@ -4,6 +4,7 @@ import json
 import signal
 import sys
 import warnings
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -13,7 +14,6 @@ from earl_jax.runs.config import deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import search as module, worker
 from earl_jax.sweeps.search import search
-from earl_jax.sweeps.space import read_space
 from earl_jax.training.stopping import Stopped
 from tests.cli.process import one_line, run, succeed
 
@@ -100,8 +100,10 @@ def test_a_search_that_is_killed_ends_as_one_that_is_not(space, tmp_path, batche
         search(space, tmp_path / "out", trials=4, **arguments)
     (tmp_path / "out/search.journal.lock").symlink_to("search.journal")  # as a kill can leave it
     assert search(space, tmp_path / "out", trials=8, **arguments) == whole
-    with pytest.raises(ValueError, match=r"search\.journal is of a search with other values"):
-        search(space, tmp_path / "out", trials=8, **{**arguments, "rungs": 3})
+    (tmp_path / "other.toml").write_text(space.read_text().replace("0.99]", "0.9]"))
+    differences = r"options\.discount FloatD.*=0.99, .* there, FloatD.*=0.9, .* here; rungs \(80, 120\) there, \(40, 8"
+    with pytest.raises(ValueError, match=rf"search\.journal is of a search that differs \({differences}"):
+        search(tmp_path / "other.toml", tmp_path / "out", trials=8, **{**arguments, "rungs": 3})
     others = search(space, tmp_path / "other", trials=4, seed=1, **arguments)
     assert [trial.options for trial in others] != [trial.options for trial in whole[:4]]
 
@@ -175,14 +177,15 @@ def test_a_search_without_optuna_names_the_extra_and_leaves_no_folder(space, tmp
     [
         ({"trials": 0}, r"trials must lie in \[1, 2147483647\], not 0"),
         ({"devices": 0}, r"devices must lie in \[1, 2147483647\], not 0"),
-        ({"devices": 3}, "divide over its 3 devices, not 2 seeds"),
+        ({"devices": 2}, "2 devices requested, but 1 available"),
+        ({"out": Path("gs://a/out")}, "gs:/a/out is an address"),
         ({"seed": 2**32}, r"seed must lie in \[0, 2147483647\], not 4294967296"),
         ({"batch": 2.5}, "batch must be a whole number, not 2.5"),
     ],
 )
-def test_numbers_that_no_search_can_have_are_refused(space, tmp_path, batches, numbers, message):
+def test_arguments_that_no_search_can_have_are_refused(space, tmp_path, batches, numbers, message):
     with pytest.raises(ValueError, match=message):
-        search(space, tmp_path / "out", **numbers)
+        search(space, **{"out": tmp_path / "out", **numbers})
     assert not batches
     assert not (tmp_path / "out").exists()
 
@@ -204,24 +207,14 @@ UNIFORM = "uniform = [0.9, 0.99]"
         ((UNIFORM, "choice = []"), "one or more"),
         (("discount", "reward_type"), "reward_type decides between success and return"),
         ((SPACE[SPACE.index("learning_rate") :], ""), "needs options with a distribution"),
-    ],
-)
-def test_invalid_spaces_are_refused(space, change, message):
-    pytest.importorskip("optuna", reason="search needs the extra 'search'")
-    space.write_text(SPACE.replace(*change))
-    with pytest.raises(ValueError, match=message):
-        read_space(space)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
         ((UNIFORM, "uniform = [0.9, 2.0]"), r"discount must lie in .*, not 2"),
         (("[1, 4]", "[-5, 4]"), "random_steps must be .*, not -5"),
         (("[[16], [32, 32]]", "[[16], [0]]"), "hidden_sizes must be"),
     ],
 )
-def test_a_value_that_could_be_drawn_later_is_refused_before_the_first_trial(space, tmp_path, batches, change, message):
+def test_a_space_is_refused_before_the_first_trial_also_for_a_value_that_could_be_drawn_later(
+    space, tmp_path, batches, change, message
+):
     space.write_text(SPACE.replace(*change))
     with pytest.raises(ValueError, match=message):
         search(space, tmp_path / "out", trials=1)
