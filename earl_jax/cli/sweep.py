@@ -92,18 +92,9 @@ def search(
     from earl_jax.sweeps.search import STATES, TRIALS, search as run_search
 
     lines: list[str] = []
+    report = lines.append if json else print_line
     with stopping(json, {"out": str(out), "lines": lines, "resume": "repeat the command"}):
-        history = run_search(
-            space,
-            out,
-            trials,
-            batch,
-            rungs,
-            seed,
-            devices=devices,
-            emit=lines.append if json else print_line,
-            minutes=limit,
-        )
+        history = run_search(space, out, trials, batch, rungs, seed, devices=devices, emit=report, minutes=limit)
     done = [trial for trial in history if trial.state == "done"]
     best = max(done, key=lambda trial: trial.scores[max(trial.scores)], default=None)
     counts = {state: sum(trial.state == state for trial in history) for state in STATES.values()}

@@ -78,10 +78,11 @@ def train(
         "eval_episodes": eval_episodes,
         "checkpoint_every": checkpoint_every,
     }
+    named = {"learner": learner, "setting": setting}
     if config is None:
-        task, method, rules, known_seeds, schedule = _by_name(env, algo, learner, setting, preset, steps, set)
+        task, method, rules, known_seeds, schedule = _by_name(env, algo, preset, steps, named, set)
     else:
-        _refuse_changes(env, algo=algo, learner=learner, **lengths, preset=preset, setting=setting, set=set)
+        _refuse_changes(env, algo=algo, **named, **lengths, preset=preset, set=set)
         task, method, rules, known_seeds, schedule = _of_run(config)
     with stopping(json, {"out": str(out), "resume": resume_command(out)}):
         result = api.train(
@@ -112,23 +113,17 @@ def refuse_options(arguments: Sequence[str]) -> None:
 
 
 def _by_name(
-    env: str | None,
-    algo: str | None,
-    learner: str | None,
-    setting: str | None,
-    preset: str | None,
-    steps: int | None,
-    pairs: tuple[tuple[str, ...], ...],
+    env: str | None, algo: str | None, preset: str | None, steps: int | None, named: dict[str, str | None], pairs: Texts
 ) -> tuple["Env", "Method", "Setting", int, Schedule]:
-    """Return the task, the method, the setting, the number of seeds and the schedule of names and name=value `pairs`."""
+    """Return the task, method, setting, number of seeds and schedule of names, `named` options and name=value `pairs`."""
     from earl_jax import algos
     from earl_jax.training import api
 
     if env is None:
         raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
     chosen = Preset() if preset is None else named_preset(preset, env, steps)
-    named = {name: given for name, given in (("setting", setting), ("learner", learner)) if given is not None}
-    task, rules, options = api.split_options(env, {**chosen.options, **named, **parse_options(itertools.chain(*pairs))})
+    given = {name: value for name, value in named.items() if value is not None}
+    task, rules, options = api.split_options(env, {**chosen.options, **given, **parse_options(itertools.chain(*pairs))})
     return task, algos.method_for(task, ALGO if algo is None else algo, **options), rules, chosen.seeds, chosen.schedule
 
 

@@ -78,15 +78,10 @@ def named_preset(name: str, env: str | None, steps: int | None = None) -> Preset
         raise InputError(f"unknown preset {name!r}; choose from {', '.join(PRESETS)}")
     chosen = PRESETS[name]
     if chosen.published_steps and steps is None and env is not None:
-        steps = _published_steps(name, env)
+        row = assets.published_row("steps", env=env)
+        if not row:
+            known = ", ".join(row["env"] for row in assets.published("steps"))
+            problem = f"the preset {name} takes the published number of steps, and {env!r} has none"
+            raise InputError(f"{problem}; give the steps, or choose from {known}")
+        steps = int(row["low"])
     return dataclasses.replace(chosen, schedule=chosen.schedule.changed(steps=steps))
-
-
-def _published_steps(name: str, env: str) -> int:
-    row = assets.published_row("steps", env=env)
-    if not row:
-        known = ", ".join(row["env"] for row in assets.published("steps"))
-        raise InputError(
-            f"the preset {name} takes the published number of steps, and {env!r} has none; give the steps, or choose from {known}"
-        )
-    return int(row["low"])

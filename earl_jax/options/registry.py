@@ -46,7 +46,9 @@ class Registry:
         Raises:
             ValueError: the name is taken, `cls` is of another kind or not a dataclass, or its `name` differs.
         """
-        if name in self.names() and not _defined_again(self._table.get(name), cls):
+        known = self._table.get(name)
+        defined_again = isinstance(known, type) and isinstance(cls, type) and class_name(known) == class_name(cls)
+        if name in self.names() and not defined_again:
             raise InputError(f"{self._noun} {name!r} exists already; choose another name")
         self._table[name] = self._checked(name, cls, "the registered class")
         REGISTERED.append(cls)
@@ -119,11 +121,6 @@ class Registry:
         cls = self.get(name)
         check(f"{self._noun} {name!r}", cls, options)
         return cls(**options)
-
-
-def _defined_again(known: Any, cls: Any) -> bool:
-    """Return whether `known` is a class with the module and the name of `cls`."""
-    return isinstance(known, type) and isinstance(cls, type) and class_name(known) == class_name(cls)
 
 
 def class_name(cls: type) -> str:
