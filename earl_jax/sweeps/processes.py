@@ -53,7 +53,7 @@ def events(worker: subprocess.Popen[str]) -> Iterator[Event]:
             event = json.loads(line)
         except json.JSONDecodeError:
             event = None
-        if isinstance(event, dict) and "state" in event:
+        if isinstance(event, dict) and "state" in event and event.keys() & {"detail", "plan"}:
             yield event
         else:
             sys.stderr.write(line)  # as a whole, because other workers write too

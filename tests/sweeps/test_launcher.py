@@ -47,7 +47,7 @@ def test_a_sweep_of_an_own_method_continues_after_a_kill_and_loses_nothing(grid,
 
 
 FAILING = """
-print("a stray line", flush=True)
+print("a stray line", '{"state": "stray"}', sep=os.linesep, flush=True)
 if name == "c":
     emit("resumed", "from step 40")
     os.kill(os.getpid(), signal.SIGKILL)
@@ -72,7 +72,7 @@ def test_a_failed_group_is_reported_and_the_next_group_runs(grid, tmp_path, work
         "done       e",
         "6 runs: 1 done before, 2 done now, 3 failed",
     ]
-    assert err.count("a stray line") == 4
+    assert err.count('a stray line\n{"state": "stray"}\n') == 4
 
 
 def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, workers, monkeypatch):
