@@ -202,7 +202,7 @@ def _spec_to(steps: int, spec: grid.RunSpec) -> grid.RunSpec:
 
 def _rung_steps(schedule: Schedule, rungs: int) -> tuple[int, ...]:
     """Return the steps of each rung, multiples of `eval_every`, up to those of the `schedule`."""
-    every, steps = schedule.eval_every, schedule.steps
+    every, steps, rungs = schedule.eval_every, schedule.steps, min(rungs, schedule.steps // schedule.eval_every)
     below = {max(every, round(steps * rung / rungs / every) * every) for rung in range(1, rungs)}
     return (*sorted(rung for rung in below if rung < steps), steps)
 

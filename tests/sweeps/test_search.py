@@ -137,7 +137,7 @@ def test_a_choice_can_be_null(space, tmp_path, batches):
     assert (trial.options["replay_capacity"], trial.state) == (None, "done")
 
 
-@pytest.mark.parametrize("rungs", [1, 3])
+@pytest.mark.parametrize("rungs", [1, 3, 2**31 - 1])
 def test_a_trial_whose_score_is_nan_has_failed(space, tmp_path, batches, rungs):
     space.write_text(SPACE + "reward_scale = 0.5\n")
     lines = []
