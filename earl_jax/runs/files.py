@@ -39,7 +39,7 @@ def check_kind(path: Path, kind: int = stat.S_IFREG) -> None:
             raise InputError(f"{path} is a link or not a {wanted}; remove it")
 
 
-def check_local(path: Path) -> None:
+def check_folder(path: Path) -> None:
     """Raise an InputError if `path` is a file, or an address, such as gs://bucket/run, of which pathlib makes a folder."""
     if re.match("[a-z][a-z0-9]+:/", path.as_posix()):
         raise InputError(f"{path} is an address, and runs are written to local folders; choose one and copy it there")

@@ -20,7 +20,7 @@ from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps, try_out
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
-from earl_jax.runs.files import append, check_local, locked, read_bytes, write_atomically
+from earl_jax.runs.files import append, check_folder, locked, read_bytes, write_atomically
 from earl_jax.runs.hosts import first_host
 from earl_jax.runs.provenance import provenance
 from earl_jax.runs.table import COLUMNS, Table, columns_of, csv_text, whole_lines
@@ -219,7 +219,7 @@ class RunFolder:
 
 def _require_free(path: Path, overwrite: bool) -> None:
     """Raise an InputError if the folder at `path` holds results, unless `overwrite`, or files that are not a run's."""
-    check_local(path)
+    check_folder(path)
     in_the_way = contents.has_results(path) and not overwrite
     if in_the_way and (path / CONFIG).is_file():
         raise InputError(

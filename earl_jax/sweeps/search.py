@@ -18,7 +18,7 @@ from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, TimeLimit, require
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CONFIG
-from earl_jax.runs.files import check_kind, check_local, locked
+from earl_jax.runs.files import check_folder, check_kind, locked
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.space import check_ends, option, optuna, read_space
@@ -75,7 +75,7 @@ def search(
     lane_mesh(devices, len(base.seeds))  # those of a single trial, because programs lose trials at every rung
     rung_steps = _rung_steps(base.schedule, rungs)
     limit = TimeLimit.of(minutes)
-    check_local(out)
+    check_folder(out)
     out.mkdir(parents=True, exist_ok=True)
     with locked(out):
         values = _values(base, spaces) | {"sampler": repr(sampler), "rungs": repr(rung_steps), "seed": repr(seed)}

@@ -19,7 +19,7 @@ from earl_jax.options.values import TimeLimit, counted
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import has_results
-from earl_jax.runs.files import check_local, inside
+from earl_jax.runs.files import check_folder, inside
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs
 from earl_jax.runs.policies import policies_step
@@ -90,7 +90,7 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
     Raises:
         ValueError: a run is invalid, or its folder holds another run; the message names it.
     """
-    check_local(out)
+    check_folder(out)
     out = out.resolve()
     planned = [planned_run(spec, out) for spec in grid.read(path)]
     groups = list(map(_described, program_groups(planned, max_lanes)))
