@@ -200,12 +200,7 @@ class Env(abc.ABC):
 
     def _checked_action(self, action: jax.Array) -> jax.Array:
         """Return `action [a]` as float32 clipped to [-1, 1]. Errors as `step`."""
-        shape, expected = np.shape(action), (self.action_size,)
-        if shape != expected:
-            raise InputError(f"action has shape {shape}, this task takes {expected}; for a batch of lanes use jax.vmap")
-        if not isinstance(action, Tracer) and not np.isfinite(np.asarray(action)).all():
-            raise InputError(f"action is not finite: {np.asarray(action).tolist()}")
-        return jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
+        return jnp.clip(_checked("action", action, self.action_size), -1.0, 1.0)
 
     def _next_state(self, state: State, action: jax.Array, following: NextState) -> State:
         """Return the `State` after a control step from `state` with `action [a]` and the result `following`.
@@ -235,14 +230,12 @@ class Env(abc.ABC):
         return random_row(key, self.goal_states)
 
     def with_goal(self, state: State, goal: jax.Array) -> State:
-        """Return `state` with the goal `goal [g]`; reward and metrics still describe the last transition.
+        """Return `state` with a copy of the goal `goal [g]`; reward and metrics still describe the last transition.
 
         Raises:
-            ValueError: the goal has another shape.
+            ValueError: the goal has another shape, or (outside jit, where values are known) is not finite.
         """
-        if np.shape(goal) != (self.goal_size,):
-            raise InputError(f"goal has shape {np.shape(goal)}, this task takes {(self.goal_size,)}")
-        goal = jnp.asarray(goal, jnp.float32)
+        goal = _checked("goal", goal, self.goal_size)
         obs = jnp.concatenate([state.obs[: self.state_size], goal])
         return state.replace(obs=obs, info={**state.info, "goal": goal})
 
@@ -252,6 +245,16 @@ class Env(abc.ABC):
         Override it if the reward needs more of `state` than its obs.
         """
         return self.reward(self.with_goal(state, goal).obs)
+
+
+def _checked(name: str, values: jax.Array, size: int) -> jax.Array:
+    """Return a copy of `values [size]` as float32. Errors as `Env.step`."""
+    shape, expected = np.shape(values), (size,)
+    if shape != expected:
+        raise InputError(f"{name} has shape {shape}, this task takes {expected}; for a batch of lanes use jax.vmap")
+    if not isinstance(values, Tracer) and not np.isfinite(np.asarray(values)).all():
+        raise InputError(f"{name} is not finite: {np.asarray(values).tolist()}")
+    return jnp.array(values, jnp.float32)
 
 
 def _box(bound: float, size: int) -> "Box":

@@ -166,7 +166,7 @@ def set_goal(env: Env, state: ProtocolState, goal: jax.Array | None = None) -> P
     setting the one of its schedule.
 
     Raises:
-        ValueError: the goal has another shape.
+        ValueError: the goal has another shape, or (outside jit) is not finite.
     """
     if goal is not None:
         return _with_goal(env, state, goal, is_set=True)
@@ -182,7 +182,7 @@ def _with_task_goal(env: Env, state: ProtocolState, key: jax.Array) -> ProtocolS
 
 def _with_goal(env: Env, state: ProtocolState, goal: jax.Array, is_set: bool) -> ProtocolState:
     return state.replace(
-        env_state=env.with_goal(state.env_state, jnp.array(goal)),
+        env_state=env.with_goal(state.env_state, goal),
         attempt_age=jnp.zeros_like(state.attempt_age),
         goal_is_set=jnp.full_like(state.goal_is_set, is_set),
     )

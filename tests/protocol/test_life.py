@@ -218,12 +218,18 @@ def test_a_jitted_step_can_donate_what_is_returned_outside_jit(env):
         life = function(env, step(life))
     assert step(life).step == 4
     jax.jit(env.step, donate_argnums=0)(env.reset(KEYS[0]), still)
+    helped, goal = HelpBudget(Chain(), budget=2.0), jnp.ones(1)
+    for state in (helped.reset(KEYS[0]), helped.with_goal(helped.reset(KEYS[0]), goal)):
+        arrays = [goal, *jax.tree.leaves(state)]
+        assert len(set(map(id, arrays))) == len(arrays), "an array that is there twice cannot be donated"
 
 
-def test_a_goal_has_the_tasks_shape_and_the_type_of_a_state():
+def test_a_goal_has_the_tasks_shape_and_the_type_of_a_state_and_is_finite():
     life = init(Chain(), Protocol(0, 4), KEYS[0])
-    with pytest.raises(ValueError, match=r"goal has shape \(2,\), this task takes \(1,\)"):
-        set_goal(Chain(), life, jnp.zeros(2))
+    wrong = {r"goal has shape \(2,\), this task takes \(1,\)": jnp.zeros(2), r"goal is not finite: \[nan\]": [np.nan]}
+    for message, goal in wrong.items():
+        with pytest.raises(ValueError, match=message):
+            set_goal(Chain(), life, goal)
     assert set_goal(Chain(), life, np.array([2])).obs.tolist() == [0.0, 2.0]
     assert set_goal(Chain(), life, np.array([2])).env_state.info["goal"].dtype == np.float32
 

@@ -122,10 +122,10 @@ class HelpBudget(Env):
         inner_key, own_key = jax.random.split(key)
         inner, none = reset(inner_key, *number), jnp.zeros((), jnp.int32)
         info = {
-            "goal": inner.info["goal"],
+            "goal": jnp.copy(inner.info["goal"]),
             "budget": jnp.asarray(self.budget, jnp.float32),
             "asked": none,
-            "enforced": none,
+            "enforced": jnp.copy(none),
             "key": jax.random.key_data(own_key),
         }
         return self._augmented(inner, info)
