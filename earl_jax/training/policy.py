@@ -65,8 +65,10 @@ class Policy(struct.PyTreeNode, eq=False):
         """Return the greedy action [..., a] at `obs [..., o]`.
 
         Raises:
-            ValueError: `obs`, or the action of a learner, has another size.
+            ValueError: `obs`, or the action of a learner, has another size, or this is a stack of policies.
         """
+        if np.shape(self.learner.discount):
+            raise InputError("this is a stack of policies: use jax.vmap, or select_seed(policies, lane)")
         obs = jnp.asarray(obs, jnp.float32)
         if obs.shape[-1:] != (self.obs_size,):
             raise InputError(f"obs has shape {obs.shape}, this policy takes (..., {self.obs_size})")

@@ -114,7 +114,7 @@ def test_unknown_names_list_the_choices(arguments, message):
         earl_jax.pretrained(*arguments)
 
 
-def test_a_greedy_action_of_another_size_is_refused():
+def test_a_greedy_action_of_another_size_and_a_stack_of_policies_are_refused():
     """A learner that returned the deviations too used to be cut to the size of the action without a word."""
 
     class Wide(SAC):
@@ -126,6 +126,8 @@ def test_a_greedy_action_of_another_size_is_refused():
     env = make(NAME)
     with pytest.raises(ValueError, match=r"greedy of 'wide' returns \[2, 6\], and an action has 3 numbers"):
         Policy.of_actor(env, Wide(), None)(jnp.zeros((2, env.observation_size)))
+    with pytest.raises(ValueError, match=r"a stack of policies: use jax\.vmap"):
+        Policy.of_actor(env, Wide(discount=np.full(2, 0.9)), None)(jnp.zeros((2, env.observation_size)))
 
 
 def test_an_actor_survives_its_arrays_up_to_rounding():
