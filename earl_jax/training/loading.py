@@ -11,7 +11,6 @@ from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.runs import policies
 from earl_jax.runs.checkpoint import newest, restore
-from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import per_lane
@@ -55,7 +54,10 @@ def load_policies(folder: RunFolder) -> Policy:
         return jax.vmap(functools.partial(Policy.of, env))(method, lanes)
     obs_size, action_size, budget_at = _sizes(folder)
     helped = budget_at is not None
-    learner, unknown = _learner(folder.config)
+    try:
+        learner, unknown = folder.config.build_method().learner, ""
+    except InputError as error:  # the defaults of the method are not known
+        learner, unknown = learner_of(folder.config.options), f"; {error}"
     learner = per_lane(learner, len(folder.config.seeds))
 
     def actor(learner: Learner) -> object:
@@ -80,14 +82,6 @@ def _sizes(folder: RunFolder) -> tuple[int, int, int | None]:
             raise
         return *policies.policy_sizes(folder.policies), None
     return task.observation_size, task.action_size, task.state_size if helped else None
-
-
-def _learner(config: RunConfig) -> tuple[Learner, str]:
-    """Return the learner of a run, or the one that its options describe, and why the defaults of its method are unknown."""
-    try:
-        return config.build_method().learner, ""
-    except InputError as error:
-        return learner_of(config.options), f"; {error}"
 
 
 def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:
