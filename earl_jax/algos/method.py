@@ -17,7 +17,7 @@ from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.pytree import OptionsNode
 from earl_jax.envs import Env
 from earl_jax.errors import InputError, brief
-from earl_jax.options.values import COUNT, COUNT_OR_NEVER, require
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check_intervals, require, require_object
 
 TASK, RETURN = 0, 1
 """The two phases: reach the task goal, then prepare the next attempt."""
@@ -186,6 +186,17 @@ FUNCTIONS = frozenset({"init", "pretrain", "act", "ends_phase", "next_goal", "pr
 """The functions of a method that the training loop calls."""
 
 
+def check_method(method: Method) -> None:
+    """Check `method` before it is used.
+
+    Raises:
+        ValueError: its learner is none, or an option of either is outside its interval or its choices.
+    """
+    require_object("learner", method.learner, Learner, or_name=False)
+    for options in (method, method.learner):
+        check_intervals(method.name, options)
+
+
 def controller_count(method: Method) -> int:
     """Return the number of separate agents of `method`, each with its own part of the replay.
 
@@ -196,6 +207,12 @@ def controller_count(method: Method) -> int:
     if count > CONTROLLERS:
         raise InputError(f"{method.name} has {count} controllers, and the replay has parts for {CONTROLLERS}")
     return count
+
+
+def controller_of(method: Method, phase: jax.Array) -> jax.Array:
+    """Return the index of the controller that acts in `phase`."""
+    index = of_phase([phase.controller for phase in method.phases], phase)
+    return jax.numpy.broadcast_to(jax.numpy.asarray(index, jax.numpy.int32), jax.numpy.shape(phase))
 
 
 def kept_transitions(method: Method) -> int | None:

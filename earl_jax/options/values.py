@@ -96,8 +96,9 @@ def _check_defaults(owner: str, cls: type) -> None:
 
 
 def check_intervals(owner: str, options: Any) -> None:
-    """Check the fields of the dataclass `options` that declare an interval; None is always valid. Errors as `check`."""
+    """Check the fields of `options` that declare an interval, where None is valid too, or choices. Errors as `check`."""
     _check_defaults(owner, type(options))
+    check_literals(options)
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
         if not field.metadata.get("pytree_node", True) and getattr(value, "shape", ()):  # a program is looked up by it

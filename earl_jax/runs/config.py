@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.algos import Method, algo_class, list_algos, list_learners, make_algo, preset_learner
+from earl_jax.algos.method import check_method
 from earl_jax.envs import Env, env_class, list_envs, make
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import as_decimals
@@ -98,9 +99,9 @@ class RunConfig:
         if type(setting) not in SETTINGS.values():
             known = " or ".join(cls.__name__ for cls in SETTINGS.values())
             raise InputError(f"the setting of a run must be an object of {known}, not of {type(setting).__name__}")
-        parts = [(task.name, task), (method.name, method), (method.name, method.learner), (setting.name, setting)]
-        for owner, options in parts:
-            check_intervals(owner, options)
+        check_method(method)
+        for options in (task, setting):
+            check_intervals(options.name, options)
         return cls(
             env=task.name,
             env_options=_changed_options(task),
@@ -226,7 +227,7 @@ def method_options(method: Method) -> dict[str, Any]:
     for part, other in ((method.learner, preset_learner(type(method), learner)), (method, default)):
         for field in dataclasses.fields(part):
             plain = _plain(getattr(part, field.name))
-            if field.name != "learner" and plain != getattr(other, field.name):
+            if field.name != "learner" and plain != _plain(getattr(other, field.name)):
                 options[field.name] = plain
     return options
 

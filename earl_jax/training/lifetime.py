@@ -6,7 +6,7 @@ import numbers
 import jax
 import jax.numpy as jnp
 
-from earl_jax.algos import Method
+from earl_jax.algos.method import Method, check_method
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require, require_object
@@ -34,10 +34,11 @@ def lifetime(
 
     Raises:
         ValueError: `problem` or `method` is another object, such as a name, `steps` and the protocol are inconsistent,
-            there are no steps, they are traced, `keys` has not one axis, or as `prepare`.
+            there are no steps, they are traced, `keys` has not one axis, or as `check_method` and `prepare`.
     """
     require_object("problem", problem, Problem, or_name=False)
     require_object("method", method, Method, or_name=False)
+    check_method(method)
     steps = _static_steps(problem, steps)
     if jax.random.key_data(keys).ndim != 2:
         raise InputError("keys must have one axis, a key for each seed: jax.random.split(key, number)")

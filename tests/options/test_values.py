@@ -163,12 +163,12 @@ def test_options_of_an_object_that_no_program_can_hold_are_named():
     class Marked(Naive):
         weights: object = struct.field(pytree_node=False, default=None)
         word: object = 0.0
+        mode: Literal["a", "b"] = struct.field(pytree_node=False, default="a")
 
     for method, message in (
-        (
-            Marked(weights=np.zeros(2)),
-            r"naive: weights must be a plain value, such as a tuple, not the array \[0.0, 0.0\]",
-        ),
+        (Marked(weights=np.zeros(2)), r"naive: weights must be a plain value, .* not the array \[0.0, 0.0\]"),
+        (Marked(mode="c"), "mode 'c' is not one of a, b"),  # pyright: ignore[reportArgumentType]
+        (Marked(SAC), r"the learner must be an object of Learner, not .*did you mean SAC\(\)"),  # pyright: ignore[reportArgumentType]
         (Marked(word="fast"), "word is 'fast', no number .* mark the field: `word: str = flax.struct.field"),
         (Marked(word=(0.5, np.zeros(3))), r"word.1 has shape \(3,\); pass one value, or one for each of 2 lanes"),
     ):

@@ -6,7 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from earl_jax.algos import make_algo
+from earl_jax.algos import SAC, make_algo
+from earl_jax.algos.naive import Naive
 from earl_jax.envs import make
 from earl_jax.training import lifetime
 from earl_jax.training.state import Problem, seed_keys
@@ -36,9 +37,11 @@ def test_steps_that_are_missing_or_traced_and_keys_without_one_axis_are_refused(
             lifetime(problem, method, wrong, 120)
 
 
-def test_a_name_or_a_task_instead_of_a_method_or_a_problem_is_refused(problem):
+def test_a_name_or_a_task_instead_of_a_method_or_a_problem_and_an_odd_option_are_refused(problem):
     with pytest.raises(ValueError, match="the method must be an object of Method, not 'naive'"):
         lifetime(problem, "naive", seed_keys(range(2)), 120)
+    with pytest.raises(ValueError, match=r"naive: discount must lie in \[0, 1\), not 2"):
+        lifetime(problem, Naive(SAC(discount=2.0)), seed_keys(range(2)), 120)
     with pytest.raises(ValueError, match="the problem must be an object of Problem, not TabletopOrgan"):
         lifetime(problem.env, make_algo("naive"), seed_keys(range(2)), 120)
 
