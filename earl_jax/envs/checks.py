@@ -1,6 +1,7 @@
 """Checks of a task before it is used: its goals, and what its functions of an observation return."""
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -37,9 +38,7 @@ def _check_functions(env: Env) -> None:
     obs = np.concatenate([states, env.goal_states], axis=1, dtype=np.float32)[None]
     for name, kind in (("success", "bool"), ("reward", "number")):
         result = jax.eval_shape(getattr(env, name), obs)
-        if result.shape != obs.shape[:2] or (kind == "bool" and result.dtype != bool):
-            expected = f"must return {kind}{list(obs.shape[:2])} for obs {list(obs.shape)}"
-            raise InputError(f"{env.name}: {name} {expected}, not {result.dtype}{list(result.shape)}")
+        require_result(f"{env.name}: {name} of obs {list(obs.shape)}", result, obs.shape[:2], kind)
     if env.sparse:
         with jax.ensure_compile_time_eval():  # a user's program may make its problem while it is traced
             given = jnp.asarray(obs)
@@ -47,3 +46,11 @@ def _check_functions(env: Env) -> None:
         if (bits != rewards).any():
             pair = f"reward is {brief(rewards)} where success is {brief(bits)}"
             raise InputError(f"{env.name}: a sparse reward is the success bit, but {pair}; or use reward_type='dense'")
+
+
+def require_result(what: str, result: Any, shape: tuple[int, ...], kind: str) -> None:
+    """Raise an InputError unless `result`, `what` in words, has this `shape` and kind: `bool`, `index` or any `number`."""
+    given = jax.eval_shape(jnp.asarray, result)
+    kinds = {"bool": jnp.bool_, "index": jnp.integer, "number": jnp.generic}
+    if given.shape != shape or not jnp.issubdtype(given.dtype, kinds[kind]):
+        raise InputError(f"{what} must be {kind}{list(shape)}, not {given.dtype}{list(given.shape)}")

@@ -15,8 +15,9 @@ from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.base import Batch, Learner
 from earl_jax.algos.learner.replay import Transition, TransitionBatch, TransitionFlags
-from earl_jax.algos.method import TASK, Method, Moment, controller_count, kept_transitions, of_phase
+from earl_jax.algos.method import TASK, Method, Moment, controller_count, controller_of, kept_transitions, of_phase
 from earl_jax.envs import Map, State
+from earl_jax.envs.checks import require_result
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
 from earl_jax.protocol import Attempt, StepEnd, advance_rules, count_step, reset_where
@@ -109,6 +110,7 @@ def act_and_start(
         stacked, controller = before_update((lane.agent.actor, controller_of(method, lane.phase)))
         actor = before_update(_controller(stacked, controller))
         action = method.act(key, problem.env, actor, lane.env_state.obs, _moment(lane, step), lane.method_state)
+        action = jnp.asarray(action, jnp.float32)
         action = action if warmup is False else jnp.where(warmup, _random_action(problem, key), action)
     return action, problem.env.start_step(lane.env_state, action)
 
@@ -144,6 +146,8 @@ def learn(
     env, phase = problem.env, lane.phase
     sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
     batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
+    for name, values in {"reward": batch.reward, "terminal": batch.terminal}.items():
+        require_result(f"{method.name}: the {name} from prepare", values, batch.action.shape[:1], "number")
     agent = _controller(lane.agent, controller)
     agent, method_state, diagnostics = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
@@ -211,13 +215,15 @@ def _attempt(
     """Return the attempt of a step whose reward for the task goal is `earned []`."""
     agent, obs = _controller(lane.agent, controller_of(method, lane.phase)), lane.env_state.obs
     key, moment = jax.random.fold_in(key, 2), _moment(lane, step)
-    return Attempt(
+    attempt = Attempt(
         is_task=lane.phase == TASK,
         expires=method.ends_phase(key, problem.env, agent, obs, moment, lane.method_state),
         ends_on_success=of_phase([phase.ends_on_success for phase in method.phases], lane.phase),
         reset_at_end=of_phase([phase.resets for phase in method.phases], lane.phase),
         invalid_reward=~jnp.isfinite(earned),
     )
+    require_result(f"{method.name}: what ends_phase returns", attempt.expires, (), "bool")
+    return attempt
 
 
 def _transition(
@@ -276,12 +282,6 @@ def _count_visit(task_map: Map, visits: jax.Array, obs: jax.Array) -> jax.Array:
 
 def _moment(lane: LaneState, step: jax.Array) -> Moment:
     return Moment(step, lane.phase, lane.phase_step, lane.key)
-
-
-def controller_of(method: Method, phase: jax.Array) -> jax.Array:
-    """Return the index of the controller that acts in `phase`."""
-    index = of_phase([phase.controller for phase in method.phases], phase)
-    return jnp.broadcast_to(jnp.asarray(index, jnp.int32), jnp.shape(phase))
 
 
 def _controller(stacked: Any, index: jax.Array) -> Any:
