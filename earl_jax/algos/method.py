@@ -187,11 +187,7 @@ FUNCTIONS = frozenset({"init", "pretrain", "act", "ends_phase", "next_goal", "pr
 
 
 def check_method(method: Method) -> None:
-    """Check `method` before it is used.
-
-    Raises:
-        ValueError: its learner is none, or an option of either is outside its interval or its choices.
-    """
+    """Raise an InputError if the learner of `method` is none, or an option of either is outside its interval or choices."""
     require_object("learner", method.learner, Learner, or_name=False)
     for options in (method, method.learner):
         check_intervals(method.name, options)

@@ -96,8 +96,7 @@ def test_goals_change_at_the_end_of_an_attempt_or_by_schedule():
     np.testing.assert_array_equal(results.success, results.reward == 1)
 
 
-@pytest.fixture(scope="module")
-def own_goal():
+def test_a_goal_of_the_agents_own_stays_and_earns_nothing_until_the_environment_chooses_again_or_intervenes():
     """Two lives, deployment and continuing, that stay at 0, a goal of their own, for 12 steps with interventions."""
     env = OneGoal(fragile=False)
 
@@ -108,21 +107,13 @@ def own_goal():
         life, results = jax.lax.scan(lambda life, _: advance(env, life, jnp.full(1, LEFT)), life, length=12)
         return life, results, set_goal(env, life), intervene(env, life)
 
-    return jax.device_get(run(KEYS[:2], lane_rules([5, 5], [0.0, 0.0], [0, 7])))
-
-
-def test_a_goal_of_the_agents_own_stays_and_earns_nothing_for_the_life(own_goal):
-    lives, results, *_ = own_goal
+    lives, results, freed, reset = jax.device_get(run(KEYS[:2], lane_rules([5, 5], [0.0, 0.0], [0, 7])))
     np.testing.assert_array_equal(results.next_obs[..., 1], 0.0)
     np.testing.assert_array_equal(results.reward, 1.0)
     np.testing.assert_array_equal(lives.counters.interventions, 2)
     np.testing.assert_array_equal(lives.counters.window_reward, 0.0)
     np.testing.assert_array_equal(lives.counters.reached, 0)
     np.testing.assert_array_equal(lives.counters.phases.reached, [[0, 12], [0, 12]])
-
-
-def test_the_environment_chooses_again_when_asked_and_at_an_intervention(own_goal):
-    lives, _, freed, reset = own_goal
     for chosen, interventions in ((freed, 2), (reset, 3)):
         np.testing.assert_array_equal(chosen.obs[:, 1], 3.0)
         np.testing.assert_array_equal(chosen.counters.interventions, interventions)
@@ -188,11 +179,6 @@ def test_a_spent_budget_ends_a_life_and_not_its_evaluation():
     }
 
 
-def test_an_attempt_has_at_least_one_step():
-    with pytest.raises(ValueError, match="attempt_steps must lie in"):
-        init(Chain(), Protocol(0, 4), KEYS[0], attempt_steps=0)
-
-
 @pytest.mark.parametrize(
     ("env", "protocol", "message"),
     [
@@ -224,11 +210,12 @@ def test_a_jitted_step_can_donate_what_is_returned_outside_jit(env):
         assert len(set(map(id, arrays))) == len(arrays), "an array that is there twice cannot be donated"
 
 
-def test_a_goal_has_the_tasks_shape_and_the_type_of_a_state_and_is_finite():
+def test_an_attempt_has_a_step_and_a_goal_the_tasks_shape_the_type_of_a_state_and_finite_numbers():
+    with pytest.raises(ValueError, match="attempt_steps must lie in"):
+        init(Chain(), Protocol(0, 4), KEYS[0], attempt_steps=0)
     life = init(Chain(), Protocol(0, 4), KEYS[0])
-    wrong = {r"goal has shape \(2,\), this task takes \(1,\)": jnp.zeros(2), r"goal is not finite: \[nan\]": [np.nan]}
-    for message, goal in wrong.items():
-        with pytest.raises(ValueError, match=message):
+    for goal, message in (([0, 0], r"has shape \(2,\), this task takes \(1,\)"), ([np.nan], r"is not finite: \[nan\]")):
+        with pytest.raises(ValueError, match=f"goal {message}"):
             set_goal(Chain(), life, goal)
     assert set_goal(Chain(), life, np.array([2])).obs.tolist() == [0.0, 2.0]
     assert set_goal(Chain(), life, np.array([2])).env_state.info["goal"].dtype == np.float32

@@ -134,36 +134,31 @@ def test_a_batch_holds_transitions_stored_before_its_step_and_a_refresh_begins_e
     np.testing.assert_array_equal(state.lanes.method_state["row"], [CHUNK - 2] * 2)
 
 
-def stored_actions(**functions):
-    """Return the shape and type of the actions that a life of a method with these functions stores; nothing is compiled."""
-    problem = make_problem(Chain())
-    method = per_lane(type("Odd", (Method,), {"name": "odd", **functions})(SAC(hidden_sizes=(8,), batch_size=16)), 2)
-    return jax.eval_shape(
-        lambda keys: scan.run_steps(problem, method, init_train_state(problem, method, keys, 4), 4).replay.action,
-        seed_keys([0, 1]),
-    )
-
-
-def in_columns(self, key, env, goals, batch, *rest):
-    return batch._replace(reward=batch.reward[:, None])
-
-
 @pytest.mark.parametrize(
     ("function", "result", "message"),
     [
         ("next_goal", lambda *_: [jnp.zeros(1)], r"what next_goal returns must be index\[\], not float32\[1\]"),
         ("ends_phase", lambda *_: 2, r"what ends_phase returns must be bool\[\], not int32\[\]"),
-        ("prepare", in_columns, r"the reward from prepare must be number\[16\], not float32\[16, 1\]"),
+        (
+            "prepare",
+            lambda *given: given[4]._replace(reward=given[4].reward[:, None]),
+            r"the reward .*, not float32\[16, 1\]",
+        ),
     ],
 )
 def test_what_functions_of_a_method_return_has_its_shape_and_kind(function, result, message):
     """DDPG used to learn from a column of rewards as from a matrix, and a time-out of 2 used to be no time-out."""
+    problem, keys = make_problem(Chain()), seed_keys([0, 1])
+
+    def lived(**functions):
+        method = type("Odd", (Method,), {"name": "odd", **functions})(SAC(hidden_sizes=(8,), batch_size=16))
+        method = per_lane(method, 2)
+        return scan.run_steps(problem, method, init_train_state(problem, method, keys, 4), 4)
+
     with pytest.raises(ValueError, match=f"odd: {message}"):
-        stored_actions(**{function: result})
-
-
-def test_an_action_of_whole_numbers_is_stored_as_others():
-    assert stored_actions(act=lambda *_: [1]).dtype == jnp.float32
+        jax.eval_shape(functools.partial(lived, **{function: result}))
+    whole = jax.eval_shape(functools.partial(lived, act=lambda *_: [1]))
+    assert whole.replay.action.dtype == jnp.float32, "an action of whole numbers"
 
 
 def test_a_life_that_starts_empty_learns_from_its_second_step_on():

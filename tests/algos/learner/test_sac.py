@@ -95,12 +95,6 @@ def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs, laye
     assert apply(params, x[:, :0], "bf16").shape == (3, 0, outputs)
 
 
-def test_an_unknown_precision_is_an_error_that_lists_the_choices():
-    for build in (lambda: make_algo("naive", precision="fp8"), lambda: SMALL.replace(precision="fp8")):
-        with pytest.raises(ValueError, match="'fp8' is not one of float32, tf32, bf16"):
-            build()
-
-
 def test_a_temperature_falls_where_there_is_more_entropy_than_asked_and_a_fixed_one_stays():
     agent = init(SMALL, jax.random.key(0), 4, 2)
     for fixed, expected in ((True, 0.0), (False, -3e-4)):
@@ -228,12 +222,14 @@ def test_the_weight_of_the_cloning_term_follows_its_schedule():
     assert float(cloning_weight(held, jnp.asarray(10_000))) == pytest.approx(0.4)
 
 
-def test_values_need_critics_without_an_entropy_term():
-    with pytest.raises(ValueError, match="entropy_free_pairs = 1"):
-        SMALL.value(jax.random.key(0), init(SMALL, jax.random.key(0), obs_size=2, action_size=1), jnp.zeros(2))
-
-
-def test_a_subset_larger_than_the_ensemble_is_an_error():
-    with pytest.raises(ValueError, match="target_subset 3 is larger than the ensemble of 2 critics"):
-        make_algo("naive", target_subset=3)
+def test_unknown_precisions_values_without_their_critics_and_a_subset_larger_than_the_ensemble_are_refused():
+    agent = init(SMALL, jax.random.key(0), obs_size=2, action_size=1)
+    for refused, message in (
+        (lambda: make_algo("naive", precision="fp8"), "'fp8' is not one of float32, tf32, bf16"),
+        (lambda: SMALL.replace(precision="fp8"), "'fp8' is not one of float32, tf32, bf16"),
+        (lambda: SMALL.value(jax.random.key(0), agent, jnp.zeros(2)), "entropy_free_pairs = 1"),
+        (lambda: make_algo("naive", target_subset=3), "target_subset 3 is larger than the ensemble of 2 critics"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            refused()
     assert make_algo("naive", ensemble=3, target_subset=3).learner.ensemble == 3

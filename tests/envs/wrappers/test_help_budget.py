@@ -214,7 +214,7 @@ def test_demonstrations_have_a_full_budget_and_never_request_help():
         assert demos.goals is task_demos.goals
 
 
-def test_without_help_an_agent_falls_once_and_its_requests_move_like_other_actions():
+def test_without_help_an_agent_falls_once_its_requests_move_like_other_actions_and_a_fault_stays_one():
     chain = Chain(start=1)
     helped = HelpBudget(chain, budget=2.0)
     assert without_budget(helped) is without_budget(chain) is without_help(chain) is chain
@@ -227,9 +227,6 @@ def test_without_help_an_agent_falls_once_and_its_requests_move_like_other_actio
         positions.append(float(state.obs[0]))
         assert (float(state.obs[1]), float(state.done), int(state.info["asked"] + state.info["enforced"])) == (1, 0, 0)
     assert positions == [2, 3, 4, 4]
-
-
-def test_without_help_a_fault_stays_a_fault():
     env = without_help(HelpBudget(Chain(fragile=True), budget=2.0))
     state = env.step(env.reset(jax.random.key(0)), jnp.array([-1.0, -1.0]))
     assert env.fault(state)
