@@ -142,7 +142,6 @@ class Env(abc.ABC):
 
     def intervene(self, key: jax.Array, state: State) -> State:
         """Return the state after a hard intervention in `state`: s0 ~ rho, with the values that persist."""
-        del state
         return self.reset(key)
 
     @property
@@ -249,9 +248,8 @@ class Env(abc.ABC):
 
 def _checked(name: str, values: jax.Array, size: int) -> jax.Array:
     """Return a copy of `values [size]` as float32. Errors as `Env.step`."""
-    shape, expected = np.shape(values), (size,)
-    if shape != expected:
-        raise InputError(f"{name} has shape {shape}, this task takes {expected}; for a batch of lanes use jax.vmap")
+    if (shape := np.shape(values)) != (size,):
+        raise InputError(f"{name} has shape {shape}, this task takes {(size,)}; for a batch of lanes use jax.vmap")
     if not isinstance(values, Tracer) and not np.isfinite(np.asarray(values)).all():
         raise InputError(f"{name} is not finite: {np.asarray(values).tolist()}")
     return jnp.array(values, jnp.float32)
@@ -277,7 +275,6 @@ class KinematicEnv(Env):
         """Return the result of a control step from `state` with the clipped `action [a]`."""
 
     def start_step(self, state: State, action: jax.Array) -> PendingStep:
-        del state
         return PendingStep(self._checked_action(action))
 
     def finish_step(self, state: State, pending: PendingStep) -> State:

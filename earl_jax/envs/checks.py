@@ -29,11 +29,6 @@ def check_task(env: Env) -> None:
     if len({table.shape[1] for table in tables.values()}) > 1:
         shapes = " and ".join(f"{name} {list(table.shape)}" for name, table in tables.items())
         raise InputError(f"{env.name}: rows of goals and initial states have one length, not {shapes}")
-    _check_functions(env)
-
-
-def _check_functions(env: Env) -> None:
-    """Check what `success` and `reward` of `env` return for a batch of observations. Errors as `check_task`."""
     states = np.full((len(env.goal_states), env.state_size), 0.5)
     obs = np.concatenate([states, env.goal_states], axis=1, dtype=np.float32)[None]
     for name, kind in (("success", "bool"), ("reward", "number")):

@@ -51,7 +51,6 @@ class MujocoEnv(Env):
 
     def _at_goal(self, state: State) -> PhysicsState | None:
         """Return the physics state that reaches the goal of `state`, for pictures; None draws no goal."""
-        del state
 
     @property
     def simulator(self) -> Simulator:

@@ -100,8 +100,7 @@ class RunConfig:
             known = " or ".join(cls.__name__ for cls in SETTINGS.values())
             raise InputError(f"the setting of a run must be an object of {known}, not of {type(setting).__name__}")
         check_method(method)
-        for options in (task, setting):
-            check_intervals(options.name, options)
+        check_intervals(task.name, task)
         return cls(
             env=task.name,
             env_options=_changed_options(task),
@@ -227,7 +226,7 @@ def method_options(method: Method) -> dict[str, Any]:
     for part, other in ((method.learner, preset_learner(type(method), learner)), (method, default)):
         for field in dataclasses.fields(part):
             plain = _plain(getattr(part, field.name))
-            if field.name != "learner" and plain != _plain(getattr(other, field.name)):
+            if field.name != "learner" and plain != getattr(other, field.name):
                 options[field.name] = plain
     return options
 

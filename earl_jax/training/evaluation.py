@@ -8,6 +8,7 @@ import numpy as np
 
 from earl_jax.algos import Method
 from earl_jax.envs import start_of, with_engine, without_budget
+from earl_jax.envs.checks import require_result
 from earl_jax.envs.starts import EVAL_PAIRS, STARTS, require_pairs
 from earl_jax.envs.state import all_finite
 from earl_jax.errors import InputError
@@ -52,10 +53,7 @@ def _own_metrics(method: Method, lane: LaneState, taken: set[str]) -> dict[str, 
     for name, value in own.items():
         if name in taken:
             raise InputError(f"{name!r} is a column of every metrics.csv: give this scalar of the learner another name")
-        if jnp.shape(value):
-            raise InputError(
-                f"{name!r} must be a scalar, as a column of metrics.csv is, not of shape {jnp.shape(value)}"
-            )
+        require_result(f"the column {name!r} of metrics.csv", value, (), "number")
     return own
 
 

@@ -18,6 +18,7 @@ from earl_jax.algos import learner_of
 from earl_jax.algos.learner.base import Learner
 from earl_jax.algos.method import TASK, Method
 from earl_jax.envs import Env, without_budget
+from earl_jax.envs.checks import require_result
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.runs.config import RunConfig
@@ -75,10 +76,7 @@ class Policy(struct.PyTreeNode, eq=False):
         if self.budget_at is not None:
             obs = jnp.insert(obs, self.budget_at, FULL_BUDGET, axis=-1)
         action, size = self.learner.greedy(self.actor, obs), self.action_size + (self.budget_at is not None)
-        if action.shape[-1:] != (size,):
-            raise InputError(
-                f"greedy of {self.learner.name!r} returns {list(action.shape)}, and an action has {size} numbers"
-            )
+        require_result(f"what greedy of {self.learner.name!r} returns", action, (*obs.shape[:-1], size), "number")
         return action[..., : self.action_size]
 
     def numpy(self) -> NumpyPolicy:

@@ -179,17 +179,12 @@ def test_a_spent_budget_ends_a_life_and_not_its_evaluation():
     }
 
 
-@pytest.mark.parametrize(
-    ("env", "protocol", "message"),
-    [
-        ("chain", Protocol(0, 4), "the task must be an object of Env, not 'chain'"),
-        (Chain(), Deployment(), r"the protocol must be an object of Protocol, not Deployment\("),
-    ],
-)
-def test_a_life_of_a_name_or_a_setting_is_refused(env, protocol, message):
-    for function in (lambda: init(env, protocol, KEYS[0]), lambda: Problem(env, protocol)):
-        with pytest.raises(ValueError, match=message):
-            function()
+def test_a_life_of_a_name_or_a_setting_is_refused():
+    for use in (lambda env, protocol: init(env, protocol, KEYS[0]), Problem):
+        with pytest.raises(ValueError, match="the task must be an object of Env, not 'chain'"):
+            use("chain", Protocol(0, 4))
+        with pytest.raises(ValueError, match=r"the protocol must be an object of Protocol, not Deployment\("):
+            use(Chain(), Deployment())
 
 
 def test_a_jitted_step_can_donate_what_is_returned_outside_jit(env):

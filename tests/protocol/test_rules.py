@@ -93,14 +93,11 @@ def test_reset_where_selects_the_state_after_an_intervention():
     assert_equal_trees(reset_where(jnp.asarray(True), env, key, state), env.reset(key))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_a_protocol_refuses_invalid_numbers():
+    for changes, message in (
         ({"eval_every": 0}, r"protocol: eval_every must lie in \[1, 2147483647\], not 0"),
         ({"train_horizon": -1}, r"train_horizon must lie in \[0, 2147483647\], not -1"),
         ({"intervention_chance": 1.5}, r"intervention_chance must lie in \[0, 1\], not 1.5"),
-    ],
-)
-def test_a_protocol_refuses_invalid_numbers(changes, message):
-    with pytest.raises(ValueError, match=message):
-        dataclasses.replace(Protocol(10, 10), **changes)
+    ):
+        with pytest.raises(ValueError, match=message):
+            dataclasses.replace(Protocol(10, 10), **changes)

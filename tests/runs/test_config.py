@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import earl_jax
-from earl_jax import SAC
 from earl_jax.algos.naive import Naive
 from earl_jax.envs import HelpBudget
 from earl_jax.errors import InputError
@@ -38,8 +37,6 @@ def test_numbers_of_numpy_are_recorded_as_plain_ones():
     assert through_json(config).values == config.values
     assert (config.env_options, config.setting["intervention_chance"]) == ({"train_horizon": 500, "wide": True}, 0.1)
     assert (config.options, config.steps) == ({"hidden_sizes": (16,)}, 80)
-    swept = type("Swept", (Naive,), {"__annotations__": {"learner": SAC}, "learner": SAC(reward_scale=np.ones(2))})
-    assert make_config(env, swept()).options == {}
 
 
 def test_the_setting_and_its_budget_are_restored(env):

@@ -24,26 +24,23 @@ def test_a_lifetime_and_its_metrics_under_a_bare_jit_equal_training(problem):
     np.testing.assert_allclose(train_state.replay.action, result.train_state.replay.action, atol=1e-3)
 
 
-def test_steps_that_are_missing_or_traced_and_keys_without_one_axis_are_refused(problem):
-    method, keys = make_algo("naive"), seed_keys(range(2))
-    with pytest.raises(ValueError, match="needs a number of steps"):
-        lifetime(problem, method, keys)
+def test_what_is_no_problem_method_number_of_steps_or_key_for_each_seed_is_refused(problem):
+    naive, keys = Naive(), seed_keys(range(2))
+    for arguments, message in (
+        ((problem, naive, keys), "needs a number of steps"),
+        ((problem, naive, keys, 2**31), r"steps must lie in \[1, "),
+        *[
+            ((problem, naive, wrong, 120), "keys must have one")
+            for wrong in (keys[0], keys[None], jax.random.PRNGKey(0))
+        ],
+        ((problem, "naive", keys, 120), "the method must be an object of Method, not 'naive'"),
+        ((problem, Naive(SAC(discount=2.0)), keys, 120), r"naive: discount must lie in \[0, 1\), not 2"),
+        ((problem.env, naive, keys, 120), "the problem must be an object of Problem, not TabletopOrgan"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            lifetime(*arguments)
     with pytest.raises(ValueError, match=r"static under jit: use Problem.*static_argnames"):
-        jax.jit(lifetime)(problem, method, keys, 120)
-    with pytest.raises(ValueError, match=r"steps must lie in \[1, "):
-        lifetime(problem, method, keys, 2**31)
-    for wrong in (keys[0], keys[None], jax.random.PRNGKey(0)):
-        with pytest.raises(ValueError, match="keys must have one axis, a key for each seed"):
-            lifetime(problem, method, wrong, 120)
-
-
-def test_a_name_or_a_task_instead_of_a_method_or_a_problem_and_an_odd_option_are_refused(problem):
-    with pytest.raises(ValueError, match="the method must be an object of Method, not 'naive'"):
-        lifetime(problem, "naive", seed_keys(range(2)), 120)
-    with pytest.raises(ValueError, match=r"naive: discount must lie in \[0, 1\), not 2"):
-        lifetime(problem, Naive(SAC(discount=2.0)), seed_keys(range(2)), 120)
-    with pytest.raises(ValueError, match="the problem must be an object of Problem, not TabletopOrgan"):
-        lifetime(problem.env, make_algo("naive"), seed_keys(range(2)), 120)
+        jax.jit(lifetime)(problem, naive, keys, 120)
 
 
 @pytest.mark.parametrize("random_steps", [0, 20, RUN_STEPS])

@@ -134,19 +134,7 @@ def test_a_batch_holds_transitions_stored_before_its_step_and_a_refresh_begins_e
     np.testing.assert_array_equal(state.lanes.method_state["row"], [CHUNK - 2] * 2)
 
 
-@pytest.mark.parametrize(
-    ("function", "result", "message"),
-    [
-        ("next_goal", lambda *_: [jnp.zeros(1)], r"what next_goal returns must be index\[\], not float32\[1\]"),
-        ("ends_phase", lambda *_: 2, r"what ends_phase returns must be bool\[\], not int32\[\]"),
-        (
-            "prepare",
-            lambda *given: given[4]._replace(reward=given[4].reward[:, None]),
-            r"the reward .*, not float32\[16, 1\]",
-        ),
-    ],
-)
-def test_what_functions_of_a_method_return_has_its_shape_and_kind(function, result, message):
+def test_what_functions_of_a_method_return_has_its_shape_and_kind():
     """DDPG used to learn from a column of rewards as from a matrix, and a time-out of 2 used to be no time-out."""
     problem, keys = make_problem(Chain()), seed_keys([0, 1])
 
@@ -155,10 +143,14 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind(function, resu
         method = per_lane(method, 2)
         return scan.run_steps(problem, method, init_train_state(problem, method, keys, 4), 4)
 
-    with pytest.raises(ValueError, match=f"odd: {message}"):
-        jax.eval_shape(functools.partial(lived, **{function: result}))
-    whole = jax.eval_shape(functools.partial(lived, act=lambda *_: [1]))
-    assert whole.replay.action.dtype == jnp.float32, "an action of whole numbers"
+    for message, function in {
+        r"next_goal returns must be index\[\], not float32\[1\]": {"next_goal": lambda *_: [jnp.zeros(1)]},
+        r"ends_phase returns must be bool\[\], not int32\[\]": {"ends_phase": lambda *_: 2},
+        r"the reward .*, not float32\[16, 1\]": {"prepare": lambda *of: of[4]._replace(reward=of[4].reward[:, None])},
+    }.items():
+        with pytest.raises(ValueError, match=f"odd: .*{message}"):
+            jax.eval_shape(functools.partial(lived, **function))
+    assert jax.eval_shape(functools.partial(lived, act=lambda *_: [1])).replay.action.dtype == jnp.float32
 
 
 def test_a_life_that_starts_empty_learns_from_its_second_step_on():
@@ -277,17 +269,13 @@ def test_scalars_in_the_dict_metrics_of_a_method_are_metrics_and_a_learner_witho
     metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]
     assert metrics["reporter/answer"].tolist() == [42.0, 42.0]
     assert metrics["diverged"].tolist() == [0, 0]
-    method = per_lane(Reporter(Rest(), shape=(3,)), 2)
-    with pytest.raises(ValueError, match=r"'reporter/answer' must be a scalar, .* not of shape \(3,\)"):
-        evaluate(problem, method, make_train_state(problem, method, [0, 1]))
-
-
-@pytest.mark.parametrize("name", ["seed", "interventions"])
-def test_a_scalar_of_a_learner_does_not_replace_a_column_of_every_run(name):
-    problem = make_problem(Chain(eval_horizon=2), eval_every=40, eval_episodes=1)
-    method = per_lane(Reporter(type("Odd", (Rest,), {"diagnostics": (name,)})()), 2)
-    with pytest.raises(ValueError, match=f"'{name}' is a column of every metrics.csv"):
-        evaluate(problem, method, make_train_state(problem, method, [0, 1]))
+    odd = {r"'reporter/answer' of metrics.csv must be number\[\], not float32\[3\]": Reporter(Rest(), shape=(3,))}
+    for name in ("seed", "interventions"):
+        odd[f"'{name}' is a column of every metrics"] = Reporter(type("Odd", (Rest,), {"diagnostics": (name,)})())
+    for message, method in odd.items():
+        method = per_lane(method, 2)
+        with pytest.raises(ValueError, match=message):
+            evaluate(problem, method, make_train_state(problem, method, [0, 1]))
 
 
 def test_the_task_is_rewarded_whichever_controller_acts(env, problem):

@@ -124,7 +124,7 @@ def test_a_greedy_action_of_another_size_and_a_stack_of_policies_are_refused():
             return jnp.zeros((*obs.shape[:-1], 6))
 
     env = make(NAME)
-    with pytest.raises(ValueError, match=r"greedy of 'wide' returns \[2, 6\], and an action has 3 numbers"):
+    with pytest.raises(ValueError, match=r"greedy of 'wide' returns must be number\[2, 3\], not float32\[2, 6\]"):
         Policy.of_actor(env, Wide(), None)(jnp.zeros((2, env.observation_size)))
     with pytest.raises(ValueError, match=r"a stack of policies: use jax\.vmap"):
         Policy.of_actor(env, Wide(discount=np.full(2, 0.9)), None)(jnp.zeros((2, env.observation_size)))

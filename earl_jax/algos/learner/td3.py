@@ -58,7 +58,6 @@ class TD3(Learner):
     diagnostics: ClassVar[tuple[str, ...]] = ("critic_loss", "actor_loss")
 
     def init(self, key: jax.Array, obs_size: int, action_size: int, entropy_free_pairs: int = 0) -> Agent:
-        del entropy_free_pairs  # no critic of TD3 has an entropy term
         actor_key, critic_key = jax.random.split(key)
         actor = mlp(self.hidden_sizes, action_size).init(actor_key, jnp.zeros((obs_size,)))
         network, example = mlp(self.hidden_sizes, 1, self.layer_norm), jnp.zeros((obs_size + action_size,))

@@ -174,7 +174,6 @@ class Sawyer(MujocoEnv):
 
     def _backward_demo_start(self, key: jax.Array) -> State | None:
         """Return the start of a backward demonstration; None for the end of the forward one."""
-        del key
 
     def fault(self, state: State) -> jax.Array:
         object_position, hand = self.object_in(state.obs), state.obs[:3]

@@ -115,7 +115,6 @@ class SawyerPeg(Sawyer):
 
     def _listed_start(self, key: jax.Array, number: jax.Array) -> State:
         """Return the start with that `number []` in the published list."""
-        del key
         return self._start_with_peg(_lying_peg(jnp.asarray(HEADS)[number]), jnp.asarray(self.goal_states)[0])
 
     @property

@@ -141,7 +141,6 @@ class HelpBudget(Env):
 
     def fault(self, state: State) -> jax.Array:
         """Return false: this environment has already answered a fault of the task with an intervention."""
-        del state
         return jnp.zeros((), bool)
 
     def start_step(self, state: State, action: jax.Array) -> PendingStep:
@@ -230,7 +229,6 @@ class WithoutHelp(HelpBudget):
         return self.task.fault(state.data)
 
     def _after(self, state: State, asked: jax.Array, moved: State) -> NextState:
-        del asked
         return moved, self._vector(moved, state.info), {}
 
 
