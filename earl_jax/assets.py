@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from earl_jax.errors import InputError, choices
+from earl_jax.errors import InputError, choices, require_known
 from earl_jax.npz import load_npz, read_bytes
 
 if TYPE_CHECKING:
@@ -79,8 +79,7 @@ def demos(name: str, direction: str) -> Demos:
         ValueError: the task or the file has no such demonstrations, or the direction is unknown; the message lists the choices.
             Or they are not as `checked_demos` requires, or the file has changed since this process read it.
     """
-    if direction not in DIRECTIONS:
-        raise InputError(f"unknown direction {direction!r}; choose from {', '.join(DIRECTIONS)}")
+    require_known("direction", direction, DIRECTIONS)
     path = _file("demos", name, ".npz")
     read, changed = _read_demos(path, direction)
     if path.stat().st_mtime_ns != changed:  # goals of the first content are in compiled programs

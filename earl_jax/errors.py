@@ -7,7 +7,7 @@ import reprlib
 import shlex
 import sysconfig
 import traceback
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,12 @@ def choices(name: Any, names: Iterable[str]) -> str:
     text, names = str(name).lower(), list(names)
     near = [known for known in names if len(text) > 2 and text in known] or get_close_matches(text, names, 1)
     return f"did you mean {near[0]!r}? Choose from {', '.join(names)}" if near else f"choose from {', '.join(names)}"
+
+
+def require_known(kind: str, name: Any, names: Collection[str]) -> None:
+    """Raise an InputError with the `names` to choose from if `name` is none of them; `kind` says what they name."""
+    if not isinstance(name, str) or name not in names:
+        raise InputError(f"unknown {kind} {brief(name)}; {choices(name, names)}")
 
 
 def brief(value: Any) -> str:

@@ -18,7 +18,7 @@ from earl_jax.envs.checks import check_task
 from earl_jax.envs.starts import STARTS
 from earl_jax.envs.state import tree_where
 from earl_jax.envs.wrappers.help_budget import without_help
-from earl_jax.errors import InputError, brief
+from earl_jax.errors import InputError, brief, require_known
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require
 from earl_jax.protocol import (
@@ -73,8 +73,7 @@ class Session:
     """The distribution of an episode's start, one of `envs.starts.STARTS`."""
 
     def __post_init__(self):
-        if self.mode not in MODES:
-            raise InputError(f"mode {self.mode!r} is not one of {', '.join(MODES)}")
+        require_known("mode", self.mode, MODES)
         require("attempt_steps", self.attempt_steps, COUNT)
         if self.is_training and self.starts != STARTS[0]:
             raise InputError(f"starts={self.starts!r} is for episodes, mode 'eval'; a lifetime starts from s0 ~ rho")

@@ -104,6 +104,8 @@ def search(
     values = {"out": str(out), **counts, "lines": lines, "trials": [trial._asdict() for trial in history]}
     values |= {"best": best._asdict() if best else None, "stopped": counts["running"] > 0 or len(history) < trials}
     emit(values, json, f"{out / TRIALS}: {text}\nrank them with intervals and tests: earl-jax best {quote(str(out))}")
+    if counts["failed"] == len(history):
+        raise SystemExit(1)
 
 
 def reproduce(

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from earl_jax.envs.base import Env
 from earl_jax.envs.state import State
-from earl_jax.errors import InputError, brief
+from earl_jax.errors import InputError, brief, require_known
 from earl_jax.options.jax_settings import package_types
 
 STARTS = ("initial", "uniform", "wide")
@@ -24,8 +24,7 @@ def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
     Raises:
         ValueError: the name is unknown, or the task has no such starts.
     """
-    if starts not in STARTS:
-        raise InputError(f"unknown starts {starts!r}; choose from {', '.join(STARTS)}")
+    require_known("starts", starts, STARTS)
     if starts == "initial":
         return env.reset
     start = env.starts.wide if starts == "wide" else env.starts.uniform

@@ -7,7 +7,7 @@ import dataclasses
 from typing import Any
 
 from earl_jax import assets
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, require_known
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import SEEDS
 
@@ -74,8 +74,7 @@ def preset(name: str, env: str | None = None, **changes: Any) -> dict[str, Any]:
 
 def named_preset(name: str, env: str | None, steps: int | None = None) -> Preset:
     """Return the preset `name` with its steps on the task `env`, or with `steps` if given. Errors as `preset`."""
-    if name not in PRESETS:
-        raise InputError(f"unknown preset {name!r}; choose from {', '.join(PRESETS)}")
+    require_known("preset", name, PRESETS)
     chosen = PRESETS[name]
     if chosen.published_steps and steps is None and env is not None:
         row = assets.published_row("steps", env=env)

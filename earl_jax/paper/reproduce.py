@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, require_known
 from earl_jax.options import imports
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import seed_list
@@ -25,7 +25,7 @@ from earl_jax.paper.figure5 import FIGURE5
 from earl_jax.paper.score_tables import TABLE1, TABLE2
 from earl_jax.paper.tradeoff import TRADEOFF
 from earl_jax.report.style import matplotlib
-from earl_jax.runs.files import write_atomically
+from earl_jax.runs.files import check_folder, write_atomically
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.launcher import sweep
 from earl_jax.sweeps.slots import PerDevice
@@ -95,6 +95,7 @@ def reproduce(
     matplotlib()  # which the report needs, before any training
     text = grid_text(name, scale, tasks, seeds, steps, options)
     out = Path(out or f"runs/reproduce-{scale}")
+    check_folder(out)
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
     earlier = file.read_bytes() if file.is_file() else text
@@ -141,8 +142,7 @@ def grid_text(
 
 
 def _lookup(kind: str, table: dict[str, Any], name: str) -> Any:
-    if name not in table:
-        raise InputError(f"unknown {kind} {name!r}; choose from {', '.join(table)}")
+    require_known(kind, name, table)
     return table[name]
 
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from earl_jax.envs import Env
 from earl_jax.envs.wrappers.help_budget import HelpBudget, without_budget
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, require_known
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, check_intervals, within
 from earl_jax.protocol.rules import Protocol
@@ -129,8 +129,7 @@ def setting_of(name: str | Setting = Deployment.name, **options: Any) -> Setting
     """
     if isinstance(name, Setting):
         return name
-    if not isinstance(name, str) or name not in SETTINGS:
-        raise InputError(f"unknown setting {name!r}; choose from {', '.join(SETTINGS)}")
+    require_known("setting", name, SETTINGS)
     check(f"setting {name!r}", SETTINGS[name], options)
     return SETTINGS[name](**options)
 

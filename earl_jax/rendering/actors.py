@@ -12,7 +12,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.envs import Env, State, TaskDemos, chosen_engine, list_envs, make, with_engine
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, require_known
 from earl_jax.options.values import SEED, require
 from earl_jax.rendering.scenes import view_of
 from earl_jax.runs.folder import RunFolder
@@ -62,8 +62,8 @@ def actor_of(source: str | Path, acting: str | None = None, seed: int = 0, metho
     `method` names a trained policy of a task that ships with the package.
     """
     require("seed", seed, SEED)
-    if acting is not None and acting not in ACTINGS:
-        raise InputError(f"unknown acting {acting!r}; choose from {', '.join(ACTINGS)}")
+    if acting is not None:
+        require_known("acting", acting, ACTINGS)
     if not is_run(source) and str(source) not in list_envs():
         raise InputError(f"{source} is neither a run folder nor a task; the tasks are {', '.join(list_envs())}")
     if method is not None and acting not in (None, "policy"):

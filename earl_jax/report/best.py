@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from earl_jax.errors import InputError
+from earl_jax.errors import require_known
 from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, smallest_p
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.options.values import COUNT, counted, require
@@ -56,8 +56,7 @@ def best(
     Raises:
         ValueError: no run that can be read has a score by this metric.
     """
-    if test not in TESTS:
-        raise InputError(f"unknown test {test!r}; choose from {', '.join(TESTS)}")
+    require_known("test", test, TESTS)
     methods = read_methods(folders, window, metric)
     tasks = grouped(methods, lambda curves: (curves.env, metric or curves.deployed_metric))
     return [row for runs in tasks.values() for row in _ranked(runs, test, metric)]

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, require_known
 from earl_jax.metrics.comparison import (
     CANNOT_TELL,
     Sample,
@@ -81,8 +81,7 @@ def compare(
     Raises:
         ValueError: a folder is no run, it has no such metric, or there is nothing to compare.
     """
-    if against not in ("runs", "published"):
-        raise InputError(f"unknown against {against!r}; choose from runs, published")
+    require_known("against", against, ("runs", "published"))
     runs = read_methods(folders, window, metric)
     if against == "published":
         rows = published_rows(runs, metric)

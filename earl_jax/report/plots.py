@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, require_known
 from earl_jax.metrics.comparison import FEWEST_SEEDS
 from earl_jax.metrics.scores import RATES
 from earl_jax.metrics.statistics import Estimate
@@ -110,8 +110,7 @@ def plot_runs(
     out = Path(out)
     if out.suffix not in PICTURES:
         raise InputError(f"{out}: pictures are written as {', '.join(PICTURES)}")
-    if size not in SIZES:
-        raise InputError(f"unknown size {size!r}; choose from {', '.join(SIZES)}")
+    require_known("size", size, SIZES)
     require("smooth", smooth, COUNT)
     runs = read_all(folders, check=lambda curves: curves.metrics[metric or curves.deployed_metric])
     lines = _lines(runs, names)

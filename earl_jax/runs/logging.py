@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from earl_jax.errors import InputError, brief, optional
+from earl_jax.errors import InputError, brief, optional, require_known
 from earl_jax.runs.contents import TENSORBOARD, WANDB
 from earl_jax.runs.files import RunWarning, make_folder
 from earl_jax.runs.folder import RunFolder
@@ -150,9 +150,8 @@ def check_logs(logs: Sequence[Any]) -> None:
     if isinstance(logs, str) or not isinstance(logs, Sequence):
         raise InputError(f"logs must be a list, such as [{TENSORBOARD!r}], not {brief(logs)}")
     for log in logs:
-        if isinstance(log, str) and log not in LOGS:
-            raise InputError(f"unknown log {log!r}; choose from {', '.join(LOGS)}")
         if isinstance(log, str):
+            require_known("log", log, LOGS)
             optional(LIBRARIES[log], f"the log {log} needs", log)
         elif isinstance(log, type) or not (hasattr(log, "log") and hasattr(log, "close")):
             raise InputError(f"{log!r} is not a log, an object with the methods log(step, metrics) and close()")

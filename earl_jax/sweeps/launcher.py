@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, require_known
 from earl_jax.options import imports
 from earl_jax.options.values import COUNT, TimeLimit, counted, require
 from earl_jax.sweeps import slurm as slurm_arrays
@@ -91,11 +91,11 @@ def check_options(
     launcher: str, slurm: tuple[str, ...], devices: int | None, per_device: PerDevice, limit: TimeLimit | None
 ) -> dict[str, str]:
     """Return the options of sbatch, after a check of the options of `sweep` against each other. Errors as `sweep`."""
+    require_known("launcher", launcher, LAUNCHERS)
     is_count = per_device in (None, "auto", *range(1, MOST + 1))
     if devices is not None:
         require("devices", devices, COUNT)
     for is_wrong, message in (
-        (launcher not in LAUNCHERS, f"unknown launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}"),
         (not is_count, f"per_device must be auto, or a number from 1 to {MOST}, not {per_device}"),
         (slurm and launcher == "local", "--slurm options go with --launcher slurm"),
         (limit and launcher == "slurm", "--minutes goes with --launcher local; --slurm time=MINUTES limits each job"),

@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from earl_jax.errors import InputError, optional
+from earl_jax.errors import InputError, optional, require_known
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.worker import resolved_run
 
@@ -34,8 +34,7 @@ def read_space(path: Path) -> tuple[grid.RunSpec, dict[str, Any], str]:
         if "reward_type" in spaces:
             raise InputError("a search compares one score, and reward_type decides between success and return: fix it")
         sampler = table.pop("sampler", SAMPLERS[0])
-        if sampler not in SAMPLERS:
-            raise InputError(f"unknown sampler {sampler!r}; choose from {', '.join(SAMPLERS)}")
+        require_known("sampler", sampler, SAMPLERS)
         fixed = {name: value for name, value in options.items() if name not in spaces}
         base, *others = itertools.islice(grid.block_specs({**table, "options": fixed}), 2)
         if others:

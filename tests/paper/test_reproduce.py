@@ -196,7 +196,7 @@ def test_a_missing_library_is_named_before_any_training(tmp_path, monkeypatch):
     ("arguments", "message"),
     [
         ({"name": "figure3", "tasks": ["sawyer_door"]}, "figure3 has no task 'sawyer_door'; choose from tabletop"),
-        ({"name": "figure6"}, "unknown experiment 'figure6'; choose from table1"),
+        ({"name": "figure6"}, "unknown experiment 'figure6'; did you mean 'figure.'. Choose from table1"),
         ({"name": "table1", "scale": "huge"}, "unknown scale 'huge'; choose from smoke, short, full"),
         ({"name": "table1", "options": {"colour": 1}}, "no option 'colour'"),
         ({"name": "table1", "options": {"rnd_clip": float("inf")}}, "option rnd_clip = Infinity: the grid .* TOML"),

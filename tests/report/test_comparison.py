@@ -117,7 +117,7 @@ def test_what_cannot_be_compared_is_refused(folders, tmp_path):
     assert [(row["first"], row["second"]) for row in rows] == [("naive", "fbrl")]
     with pytest.raises(ValueError, match="needs runs of tasks of the paper"):
         compare([sparse], against="published")
-    with pytest.raises(ValueError, match="unknown against 'publised'; choose from runs, published"):
+    with pytest.raises(ValueError, match="unknown against 'publised'; did you mean 'published'"):
         compare(folders, against="publised")
 
 

@@ -144,6 +144,8 @@ def test_a_trial_whose_score_is_nan_has_failed(space, tmp_path, batches, rungs):
     with warnings.catch_warnings(action="error", category=RuntimeWarning):
         history = search(space, tmp_path / "out", trials=2, batch=2, rungs=rungs, emit=lines.append)
     assert [trial.state for trial in history] == [line.split()[0] for line in lines] == ["failed"] * 2
+    code, out, _ = run("search", space, "--out", tmp_path / "out", "--trials", 2, "--rungs", rungs)
+    assert (code, "2 failed" in out) == (1, True), "no trial has a score"
 
 
 def test_minutes_leave_the_trials_running(space, tmp_path, batches, monkeypatch):

@@ -86,7 +86,10 @@ def test_invalid_runs_are_refused_in_one_line_before_any_training(tmp_path, grid
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"logs": ["tensorbord"]}, "unknown log 'tensorbord'; choose from tensorboard, wandb"),
+        (
+            {"logs": ["tensorbord"]},
+            "unknown log 'tensorbord'; did you mean 'tensorboard'? Choose from tensorboard, wandb",
+        ),
         ({"logs": "wandb"}, "logs must be a list"),
         ({"out": "gs://a/out"}, "gs:/a/out is an address"),
         ({"out": __file__}, "is not a folder"),

@@ -11,7 +11,7 @@ from flax import struct
 
 from earl_jax.algos.learner.networks import PRECISIONS
 from earl_jax.algos.pytree import OptionsNode
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, require_known
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, LARGEST_INT, within
 
 
@@ -95,8 +95,7 @@ class Learner(OptionsNode, abc.ABC):
     """Names of the scalars that `update` returns, columns of metrics.csv."""
 
     def __post_init__(self):
-        if self.precision not in PRECISIONS:
-            raise InputError(f"precision {self.precision!r} is not one of {', '.join(PRECISIONS)}")
+        require_known("precision", self.precision, PRECISIONS)
 
     @abc.abstractmethod
     def init(self, key: jax.Array, obs_size: int, action_size: int, entropy_free_pairs: int = 0) -> Any:

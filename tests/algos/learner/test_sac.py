@@ -225,8 +225,8 @@ def test_the_weight_of_the_cloning_term_follows_its_schedule():
 def test_unknown_precisions_values_without_their_critics_and_a_subset_larger_than_the_ensemble_are_refused():
     agent = init(SMALL, jax.random.key(0), obs_size=2, action_size=1)
     for refused, message in (
-        (lambda: make_algo("naive", precision="fp8"), "'fp8' is not one of float32, tf32, bf16"),
-        (lambda: SMALL.replace(precision="fp8"), "'fp8' is not one of float32, tf32, bf16"),
+        (lambda: make_algo("naive", precision="fp8"), "unknown precision 'fp8'; choose from float32, tf32, bf16"),
+        (lambda: SMALL.replace(precision="fp8"), "unknown precision 'fp8'; choose from float32, tf32, bf16"),
         (lambda: SMALL.value(jax.random.key(0), agent, jnp.zeros(2)), "entropy_free_pairs = 1"),
         (lambda: make_algo("naive", target_subset=3), "target_subset 3 is larger than the ensemble of 2 critics"),
     ):
