@@ -36,13 +36,12 @@ Name = Literal[tuple(RUNS)]
 
 
 def main(out: Positional[Path], against: Path | None = None, only: tuple[Name, ...] = tuple(RUNS)) -> None:
-    """Train the runs that are not there yet, and compare them with those of the folder `against` if asked."""
+    """Train the runs in place of those of an earlier call, and compare them with those of the folder `against` if asked."""
     differing = []
     for name in only:
         env, algo, options = RUNS[name]
         path = out / name
-        if not path.exists():
-            earl_jax.train(env, algo, out=path, **{**SMALL, **options})
+        earl_jax.train(env, algo, out=path, overwrite=True, **{**SMALL, **options})
         if against is None:
             print(f"{name}: trained", flush=True)
             continue
