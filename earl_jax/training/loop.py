@@ -146,8 +146,10 @@ def learn(
     env, phase = problem.env, lane.phase
     sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
     batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
-    for name, values in {"reward": batch.reward, "terminal": batch.terminal}.items():
-        require_result(f"{method.name}: the {name} from prepare", values, batch.action.shape[:1], "number")
+    for name in ("reward", "terminal"):
+        require_result(
+            f"{method.name}: the {name} from prepare", getattr(batch, name), batch.action.shape[:1], "number"
+        )
     agent = _controller(lane.agent, controller)
     agent, method_state, diagnostics = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
@@ -215,15 +217,15 @@ def _attempt(
     """Return the attempt of a step whose reward for the task goal is `earned []`."""
     agent, obs = _controller(lane.agent, controller_of(method, lane.phase)), lane.env_state.obs
     key, moment = jax.random.fold_in(key, 2), _moment(lane, step)
-    attempt = Attempt(
+    expires = method.ends_phase(key, problem.env, agent, obs, moment, lane.method_state)
+    require_result(f"{method.name}: what ends_phase returns", expires, (), "bool")
+    return Attempt(
         is_task=lane.phase == TASK,
-        expires=method.ends_phase(key, problem.env, agent, obs, moment, lane.method_state),
+        expires=expires,
         ends_on_success=of_phase([phase.ends_on_success for phase in method.phases], lane.phase),
         reset_at_end=of_phase([phase.resets for phase in method.phases], lane.phase),
         invalid_reward=~jnp.isfinite(earned),
     )
-    require_result(f"{method.name}: what ends_phase returns", attempt.expires, (), "bool")
-    return attempt
 
 
 def _transition(
