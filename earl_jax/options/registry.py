@@ -41,16 +41,19 @@ class Registry:
     def register(self, name: str, cls: type[Any]) -> None:
         """Register the dataclass `cls` as `name` in this process; its own `name` must be the same.
 
-        A class that is defined again, as by a notebook's cell that runs twice, takes the place of the earlier one.
+        A class that is defined again, as by a notebook's cell that runs twice, takes the place of the earlier one. Nothing
+        changes if an installed package has registered it.
 
         Raises:
             ValueError: the name is taken, `cls` is of another kind or not a dataclass, or its `name` differs.
         """
-        known = self._table.get(name)
-        defined_again = isinstance(known, type) and isinstance(cls, type) and class_name(known) == class_name(cls)
-        if name in self.names() and not defined_again:
+        known, path = self._table.get(name), class_name(cls) if isinstance(cls, type) else None
+        installed = any((point.name, point.value) == (name, path) for point in self._entry_points())
+        defined_again = isinstance(known, type) and class_name(known) == path
+        if name in self.names() and not (installed or defined_again):
             raise InputError(f"{self._noun} {name!r} exists already; choose another name")
-        self._table[name] = self._checked(name, cls, "the registered class")
+        if not installed:
+            self._table[name] = self._checked(name, cls, "the registered class")
         REGISTERED.append(cls)
 
     def get(self, name: str) -> type[Any]:
