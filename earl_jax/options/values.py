@@ -195,13 +195,12 @@ def _fits(kind: Any, value: Any, has_lanes: bool = False) -> bool:
     if kind is int:
         return _is_whole(value) and int(value) >= 0
     value = _known(value) if has_lanes else value
-    if kind is bool and isinstance(value, bool | np.bool_):
-        return True
     if has_lanes and isinstance(value, np.ndarray):
         if kind is bool:
             return bool(np.isin(value, (0, 1)).all())
         return value.dtype.kind in "fiub" and bool(np.isfinite(value).all())
-    return (has_lanes and _is_of_jax(value)) or (kind is float and _is_number(value))
+    is_flag = kind is bool and isinstance(value, bool | np.bool_)
+    return is_flag or (has_lanes and _is_of_jax(value)) or (kind is float and _is_number(value))
 
 
 def value_text(value: Any) -> str:
@@ -210,11 +209,8 @@ def value_text(value: Any) -> str:
         return f"[{', '.join(map(value_text, value))}]"
     if not isinstance(value, float):
         return str(value)
-    digits, _, exponent = f"{value:.6g}".partition("e")
-    if value and abs(value) < 1e-3:
-        digits, _, exponent = f"{value:.5e}".partition("e")
-        digits = digits.rstrip("0").rstrip(".")
-    return f"{digits}e{int(exponent)}" if exponent else digits
+    digits, _, exponent = format(value, ".5e" if 0 < abs(value) < 1e-3 else ".6g").partition("e")
+    return f"{digits.rstrip('0').rstrip('.')}e{int(exponent)}" if exponent else digits
 
 
 def counted(number: int, noun: str) -> str:
