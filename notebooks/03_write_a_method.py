@@ -172,5 +172,5 @@ print(f"difference {gap.difference:+.2f} [{gap.low:+.2f}, {gap.high:+.2f}], p = 
 Three seeds of a small preset do not show whether the method is good. [02](02_compare_two_methods.py) shows
 how to decide it, [04](04_run_on_a_gpu.py) how to train enough seeds. Methods that learn something of their
 own override three more functions: `init`, `learn` and `refresh`. `earl_jax/algos/r3l.py` is an
-example of fewer than 90 lines.
+example of fewer than 100 lines.
 """

@@ -60,8 +60,7 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
             height: height of a picture in pixels.
             options: `mode`; `setting`: `deployment`, `continuing`, or an object of `earl_jax.protocol` with its own
                 interventions and budget; `attempt_steps`; `starts` of episodes: `initial`, `uniform` or `wide`; and
-                options of the task: `reward_type`, `engine`,
-                `train_horizon` and so on.
+                options of the task: `reward_type`, `engine`, `train_horizon` and so on.
 
         Raises:
             ValueError: an unknown mode, setting, option or name; the message lists the choices.

@@ -125,7 +125,7 @@ def reproduce(
 
     Args:
         name: Table or figure, or the trade-off of learning against interventions that the conclusion names.
-        scale: smoke trains one task for a few hundred steps; short, a tenth of the published steps; full, all of them.
+        scale: smoke trains one task for 120 steps; short, a tenth of the published steps; full, all of them.
         out: Folder that all tables and figures share for runs and results. runs/reproduce-SCALE by default.
         tasks: Tasks to include. By default those of the scale.
         seeds: Number of seeds. By default 2, 3 or 5, as the scale has.

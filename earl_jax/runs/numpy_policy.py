@@ -15,7 +15,7 @@ class NumpyPolicy:
 
     `layers` are the kernels [k, l] and biases [l] of the network. After training with a budget for help, it observes a
     full budget at index `budget_at`. After training in `bf16`, it rounds where the learner does, because such a policy
-    can fail without: of 26 that ship, one falls from 1.00 to 0.64 of its goals.
+    can fail without.
     """
 
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
