@@ -111,7 +111,7 @@ def _overview(everything: dict[str, Any]) -> str:
 def _details(described: dict[str, Any]) -> str:
     """Return all of the description of one name."""
     facts = {key.replace("_", " "): _number(value) for key, value in described.items() if key not in NOT_FACTS}
-    facts |= {"steps": described["steps"] or "published"} if described["kind"] == "preset" else {}
+    facts |= {"steps": facts["steps"] or "published"} if described["kind"] == "preset" else {}
     lines = [f"{described['name']} ({described['kind']})", "", *_wrap(described.get("summary", "")), ""]
     for key, value in {**facts, **described.get("values", {})}.items():
         lines += textwrap.wrap(_cell(value), WIDTH, initial_indent=f"{key:<22}", subsequent_indent=" " * 22)

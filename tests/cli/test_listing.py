@@ -68,6 +68,7 @@ def test_every_name_is_described_with_the_meaning_of_its_options(everything):
         (["sawyer_door"], ["(earl_jax.pretrained('sawyer_door', METHOD))", "seeds 3, 4; success 1, 1; return 211.86, 206.28\n"]),
         (["vaprl"], ["epsilon=0.1", "cloning=null  (float | None;", "discount=0.99  (float; in [0, 1))", "Sharma et al. 2021"]),
         (["td3"], ["policy_delay=2", "discount=0.99", "Fujimoto, van Hoof and Meger 2018"]),
+        (["quick"], ["steps                 170,000\n", "learning_rate         0.001\n"]),
         (["strong"], ["steps                 published\n", "layer_norm            true\n"]),
     ],
 )  # fmt: skip
