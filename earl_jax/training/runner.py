@@ -17,7 +17,7 @@ from earl_jax.algos.method import TASK
 from earl_jax.envs import Env, chosen_engine, for_lanes, without_budget
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import as_decimals
-from earl_jax.options.values import TimeLimit
+from earl_jax.options.values import TimeLimit, counted
 from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import RunConfig, deployed_metric
@@ -152,7 +152,7 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool, limit: TimeLimi
         bar = stack.enter_context(_progress(plan, runs, progress))
         bar.message(str(plan.memory))
         if plan.engine != "kinematic":
-            auto = f", which auto takes for {plan.lanes} lanes on this {jax.default_backend()} machine"
+            auto = f", which auto takes for {counted(plan.lanes, 'lane')} on this {jax.default_backend()} machine"
             bar.message(f"physics engine: {plan.engine}{auto if chosen_engine(runs[0].env) == 'auto' else ''}")
         if state is None:
             with bar.working("first state"):
