@@ -49,7 +49,7 @@ def demos(env: Positional[str], out: Path, seed: int = 0, engine: str | None = N
     Args:
         env: Task.
         out: Output file, .npz.
-        seed: Random seed of the expert's noise. Seed 0 gives the file that ships with the package.
+        seed: Random seed of the starts and of the expert's noise. Seed 0 gives the file that ships, if one does.
     """
     from earl_jax import envs
     from earl_jax.envs.demos import scripted
@@ -65,7 +65,7 @@ def import_demos(file: Positional[Path], backward: Path | None = None, out: Path
 
     Args:
         file: Forward demonstrations: the original pickle, or an npz file of the same arrays. No code in it is executed.
-        backward: Backward demonstrations in the same format. Methods with a return phase need them. By default none.
+        backward: Backward demonstrations in the same format, for return phases. By default none.
         out: New npz file. By default a file beside FILE.
     """
     from earl_jax.envs.demos import importer, scripted
