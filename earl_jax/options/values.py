@@ -89,9 +89,7 @@ def _check_defaults(owner: str, cls: type) -> None:
     for field in dataclasses.fields(cls):
         default = field.default
         if default is not dataclasses.MISSING and getattr(cls, field.name, default) is not default:
-            fix = (
-                f"write `{field.name}: TYPE = ...`, and for a task @dataclasses.dataclass(frozen=True) above the class"
-            )
+            fix = f"write `{field.name}: TYPE = ...`, in a task below @dataclasses.dataclass(frozen=True)"
             raise InputError(f"{owner}: the value of {field.name} in {cls.__name__} is no default; {fix}")
 
 

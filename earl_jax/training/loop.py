@@ -146,10 +146,9 @@ def learn(
     env, phase = problem.env, lane.phase
     sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
     batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
+    size = batch.action.shape[:1]
     for name in ("reward", "terminal"):
-        require_result(
-            f"{method.name}: the {name} from prepare", getattr(batch, name), batch.action.shape[:1], "number"
-        )
+        require_result(f"{method.name}: the {name} from prepare", getattr(batch, name), size, "number")
     agent = _controller(lane.agent, controller)
     agent, method_state, diagnostics = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
@@ -186,10 +185,7 @@ def finish_step(
     keys: StepKeys,
     step: jax.Array,
 ) -> tuple[LaneState, Transition, jax.Array]:
-    """Return the lane after its `pending` control step, the transition, and whether it can be sampled, bool [].
-
-    `step []` counts from 0.
-    """
+    """Return the lane after its `pending` control step number `step`, from 0, the transition, and whether it is sampleable."""
     env, table = problem.env, jnp.asarray(problem.goals.table)
     env_state = env.finish_step(lane.env_state, pending)
     earned = env.goal_reward(env_state, table[lane.goal_indices.task])
