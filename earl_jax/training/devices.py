@@ -43,8 +43,8 @@ def lane_mesh(devices: int | None, lanes: int) -> Mesh | None:
     The default is one device, or all devices of all processes if there are several processes.
 
     Raises:
-        ValueError: there are fewer devices, or `lanes` don't divide over them; the message gives numbers that would
-            fit.
+        ValueError: there are fewer devices, they are not of all hosts, or `lanes` don't divide over them; the message
+            gives numbers that would fit.
     """
     available = jax.devices()
     default = len(available) if jax.process_count() > 1 else 1
@@ -58,9 +58,10 @@ def lane_mesh(devices: int | None, lanes: int) -> Mesh | None:
             f"{lanes} lanes don't divide over {count} devices: take {' or '.join(map(str, lane_choices))} lanes, "
             f"or one of {', '.join(str(number) for number in range(1, count) if lanes % number == 0)} devices"
         )
-    if count == 1:
-        return None
-    return jax.make_mesh((count,), ("lanes",), axis_types=(AxisType.Auto,), devices=available[:count])
+    chosen, hosts = available[:count], jax.process_count()
+    if len({device.process_index for device in chosen}) < hosts:
+        raise InputError(f"the first {count} of {len(available)} devices are not on all {hosts} hosts: take more")
+    return None if count == 1 else jax.make_mesh((count,), ("lanes",), axis_types=(AxisType.Auto,), devices=chosen)
 
 
 def mapped(function: Callable, mesh: Mesh | None, in_specs: Any, out_specs: Any) -> Callable:

@@ -3,6 +3,7 @@
 import json
 import os
 
+import jax
 import numpy as np
 import pytest
 
@@ -66,6 +67,12 @@ def test_other_numbers_of_devices_than_there_are_is_an_error(devices, message):
     with pytest.raises(ValueError, match=message):
         lane_mesh(devices, 8)
     assert lane_mesh(None, 8) is None
+
+
+def test_devices_that_leave_out_a_host_are_refused(monkeypatch):
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    with pytest.raises(ValueError, match="the first 1 of 1 devices are not on all 2 hosts: take more"):
+        lane_mesh(1, 8)
 
 
 def run_on_two_hosts(*arguments, minutes=("60", "60")):
