@@ -68,23 +68,23 @@ def train(
         overwrite: Remove the results of an earlier run in the folder. A folder with other files is refused.
     """
     limit = parse_minutes(minutes)
-    from earl_jax.runs.hosts import join_hosts
+    from earl_jax.runs.hosts import failing_at_once, join_hosts
     from earl_jax.training import api
 
     join_hosts(hosts)
-    lengths = {
-        "steps": steps,
-        "eval_every": eval_every,
-        "eval_episodes": eval_episodes,
-        "checkpoint_every": checkpoint_every,
-    }
-    named = {"learner": learner, "setting": setting}
-    if config is None:
-        task, method, rules, known_seeds, schedule = _by_name(env, algo, preset, steps, named, set)
-    else:
-        _refuse_changes(env, algo=algo, **named, **lengths, preset=preset, set=set)
-        task, method, rules, known_seeds, schedule = _of_run(config)
-    with stopping(json, {"out": str(out), "resume": resume_command(out)}):
+    with failing_at_once(), stopping(json, {"out": str(out), "resume": resume_command(out)}):
+        lengths = {
+            "steps": steps,
+            "eval_every": eval_every,
+            "eval_episodes": eval_episodes,
+            "checkpoint_every": checkpoint_every,
+        }
+        named = {"learner": learner, "setting": setting}
+        if config is None:
+            task, method, rules, known_seeds, schedule = _by_name(env, algo, preset, steps, named, set)
+        else:
+            _refuse_changes(env, algo=algo, **named, **lengths, preset=preset, set=set)
+            task, method, rules, known_seeds, schedule = _of_run(config)
         result = api.train(
             task,
             method,
@@ -165,12 +165,12 @@ def resume(
     limit = parse_minutes(minutes)
     from earl_jax.runs.contents import VIDEOS
     from earl_jax.runs.folder import RunFolder
-    from earl_jax.runs.hosts import join_hosts
+    from earl_jax.runs.hosts import failing_at_once, join_hosts
     from earl_jax.training import api
 
     join_hosts(hosts)
-    logs = _video_logs(RunFolder.open(folder).recorded().get(VIDEOS))
-    with stopping(json, {"out": str(folder), "resume": resume_command(folder)}):
+    with failing_at_once(), stopping(json, {"out": str(folder), "resume": resume_command(folder)}):
+        logs = _video_logs(RunFolder.open(folder).recorded().get(VIDEOS))
         result = api.resume(folder, steps=steps, progress=True, devices=devices, minutes=limit, logs=logs)
     _emit_result(result, folder, json)
 

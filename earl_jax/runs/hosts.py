@@ -2,10 +2,12 @@
 
 import atexit
 import contextlib
+import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
@@ -17,18 +19,23 @@ from earl_jax.errors import InputError, is_input_error
 
 @contextlib.contextmanager
 def failing_at_once() -> Iterator[None]:
-    """After an error in this context, let this process end without jax's wait for the other hosts, which wait for it."""
+    """After an error in this context, let this process end without jax's wait for the other hosts, which wait for it.
+
+    A `Stopped` ends all hosts, and they wait for the first one, which can still write.
+    """
     try:
         yield
     except BaseException as error:
-        if jax.process_count() > 1:
-            atexit.register(_leave, 2 if is_input_error(error) else 1)  # it runs before jax's own
+        if jax.process_count() > 1 and not hasattr(error, "exit_code"):
+            code = 130 if isinstance(error, KeyboardInterrupt) else 2 if is_input_error(error) else 1
+            atexit.register(_leave, code)  # it runs before jax's own
         raise
 
 
 def _leave(code: int) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
+    time.sleep(first_host())  # jax aborts the others when the first host ends: let them say why they end
     os._exit(code)
 
 
@@ -50,12 +57,24 @@ def gathered(tree: Any) -> Any:
     return jax.tree.map(gather, tree)
 
 
-def of_first_host(flag: bool) -> bool:
-    """Return the `flag` of the first host; every host must call this. Errors as `gathered`."""
+def of_all_hosts(numbers: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Return the `numbers` [n] of every host, int32 [hosts, n]; every host must call this. Errors as `gathered`."""
+    own = np.asarray(numbers, np.int32)
     if jax.process_count() == 1:
-        return flag
+        return own[None]
     with _asking_all_hosts():
-        return bool(multihost_utils.broadcast_one_to_all(np.asarray(flag)))
+        return np.asarray(multihost_utils.process_allgather(own))
+
+
+def require_same(*arguments: object) -> None:
+    """Check that all hosts have the `arguments` of this one, which are plain values; every host must call this.
+
+    Raises:
+        ValueError: they have not, or another host has ended.
+    """
+    digest = np.frombuffer(hashlib.blake2b(repr(arguments).encode(), digest_size=8).digest(), np.int32)
+    if (of_all_hosts(digest) != digest).any():
+        raise InputError("the hosts have different arguments: start all of them with the same command")
 
 
 @contextlib.contextmanager

@@ -22,7 +22,7 @@ from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.hosts import failing_at_once, first_host, gathered
+from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.logging import Log, OptionalLog, open_logs
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.progress import Progress
@@ -146,7 +146,7 @@ def run_program(plan: Plan, runs: Sequence[Run], progress: bool, limit: TimeLimi
     """
     keep_programs()
     method = placed(join_lanes([run.method for run in runs]), plan.mesh)
-    with failing_at_once(), StopRequest(limit) as stop, contextlib.ExitStack() as stack:
+    with StopRequest(limit) as stop, contextlib.ExitStack() as stack:
         init = _initial_state(plan, method, runs)
         state = _restored(plan, runs, init)
         bar = stack.enter_context(_progress(plan, runs, progress))
@@ -179,7 +179,7 @@ def _train_to_end(
             _record_length(plan, runs)
         if step > previous and step % plan.problem.protocol.eval_every == 0:
             state = _evaluate_runs(plan, method, runs, state, step, bar)
-            stop.check_time()
+            stop.check()
         stopping = stop.requested and step < plan.steps
         for run, span in _with_lanes(runs):
             if run.folder and step and (stopping or run.config.checkpoint_due(step)):
@@ -213,7 +213,7 @@ def _train_to_evaluation(
             state = _advance(plan.problem, method, state, plan.chunk_steps, warmup, plan.mesh)
             state.step.block_until_ready()
         bar.advance(plan.chunk_steps, time.perf_counter() - start_time)
-        stop.check_time()
+        stop.check()
     return state
 
 

@@ -12,7 +12,7 @@ import jax
 
 from earl_jax.options.imports import resume_command
 from earl_jax.options.values import TimeLimit
-from earl_jax.runs.hosts import of_first_host
+from earl_jax.runs.hosts import of_all_hosts
 
 
 class Stopped(KeyboardInterrupt):
@@ -31,26 +31,26 @@ class StopRequest:
     """A context that records SIGINT, SIGTERM and SIGHUP instead of their default actions; a second signal acts at once.
 
     Handlers that others have installed stay, and a signal that is ignored, as by `nohup`, stays so. Several hosts have to
-    stop at the same step, so signals do not stop them, and the clock of the first host counts for all.
+    stop at the same step: a signal to any of them counts from the next `check` on, and the clock of the first for all.
     """
 
     def __init__(self, limit: TimeLimit | None = None):
         self.number: int | None = None
-        self._limit, self._timed_out = limit, False
+        self._received, self._limit, self._timed_out = 0, limit, False
         self._earlier: dict[int, Any] = {}
 
     @property
     def requested(self) -> bool:
-        """Whether a signal has arrived, or the last `check_time` was after the end of the limit."""
+        """Whether a signal has arrived, or the last `check` was after the end of the limit."""
         return self.number is not None or self._timed_out
 
-    def check_time(self) -> None:
-        """Request a stop if the limit has passed; every host must call this after the same steps."""
-        if self._limit is not None:
-            self._timed_out = of_first_host(self._limit.passed)
+    def check(self) -> None:
+        """Request a stop if the limit has passed or a host has a signal; every host must call this after the same steps."""
+        received, passed = of_all_hosts([self._received, self._limit is not None and self._limit.passed]).T
+        self.number, self._timed_out = int(received.max()) or None, bool(passed[0])
 
     def __enter__(self) -> "StopRequest":
-        if threading.current_thread() is threading.main_thread() and jax.process_count() == 1:
+        if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
                     self._earlier[number] = signal.signal(number, self._record)
@@ -60,7 +60,9 @@ class StopRequest:
         self._restore()
 
     def _record(self, number: int, frame: object) -> None:
-        self.number = number
+        self._received = number
+        if jax.process_count() == 1:
+            self.number = number
         self._restore()
 
     def _restore(self) -> None:

@@ -6,6 +6,8 @@ import signal
 import time
 from unittest.mock import Mock
 
+import jax
+import numpy as np
 import pytest
 
 from earl_jax import resume
@@ -138,11 +140,23 @@ def test_a_run_without_a_folder_returns_what_it_has():
 
 
 def test_the_first_host_decides_about_the_time(monkeypatch):
-    answers = []
-    monkeypatch.setattr("earl_jax.training.stopping.of_first_host", lambda flag: answers.append(flag) or True)
+    of_others = [[0, True], [0, False]]
+    monkeypatch.setattr("earl_jax.training.stopping.of_all_hosts", lambda own: np.array([*of_others, own]))
     stop = StopRequest(TimeLimit.of(30))
-    stop.check_time()
-    assert (answers, stop.requested) == ([False], True)
+    for expected in (True, False):
+        stop.check()
+        assert (stop.number, stop.requested) == (None, expected)
+        of_others.reverse()
+
+
+def test_a_signal_to_one_host_stops_all_at_the_next_check(monkeypatch):
+    monkeypatch.setattr("earl_jax.training.stopping.of_all_hosts", lambda own: np.array([[0, False], own]))
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    with StopRequest() as stop:
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert not stop.requested
+        stop.check()
+    assert (stop.number, stop.requested) == (signal.SIGTERM, True)
 
 
 def test_commands_whose_start_takes_all_minutes_train_a_chunk_and_print_how_to_continue(whole, tmp_path):
