@@ -64,7 +64,7 @@ class Setting:
     ) -> Protocol:
         """Return the protocol of a lifetime in `env`."""
         return Protocol(
-            train_horizon=env.train_horizon,
+            **self._intervals(env),
             eval_horizon=env.eval_horizon,
             eval_every=eval_every,
             eval_episodes=eval_episodes,
@@ -72,6 +72,10 @@ class Setting:
             alive_steps=self.alive_steps,
             eval_pairs=self.eval_pairs,
         )
+
+    def _intervals(self, env: Env) -> dict[str, int]:
+        """Return H_T and the steps between goal changes in `env`, where they are not those of a `Protocol`."""
+        return {"train_horizon": env.train_horizon}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,15 +105,9 @@ class Continuing(Setting):
 
     name: ClassVar[str] = "continuing"
 
-    def protocol(
-        self, env: Env, eval_every: int = Schedule.eval_every, eval_episodes: int = Schedule.eval_episodes
-    ) -> Protocol:
-        """Return the protocol of a lifetime in `env`."""
-        return dataclasses.replace(
-            super().protocol(env, eval_every, eval_episodes),
-            train_horizon=self._horizon(without_budget(env)),
-            goal_change=env.continuing.goal_change if self.goal_change is None else self.goal_change,
-        )
+    def _intervals(self, env: Env) -> dict[str, int]:
+        goal_change = env.continuing.goal_change if self.goal_change is None else self.goal_change
+        return {"train_horizon": self._horizon(without_budget(env)), "goal_change": goal_change}
 
     def _horizon(self, task: Env) -> int:
         if self.train_horizon is not None:

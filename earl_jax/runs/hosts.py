@@ -19,14 +19,13 @@ from earl_jax.errors import InputError, is_input_error
 
 @contextlib.contextmanager
 def failing_at_once() -> Iterator[None]:
-    """After an error in this context, let this process end without jax's wait for the other hosts, which wait for it.
-
-    A `Stopped` ends all hosts, and they wait for the first one, which can still write.
-    """
+    """After an error in this context, let this process end without jax's wait for the other hosts, which wait for it."""
     try:
         yield
     except BaseException as error:
-        if jax.process_count() > 1 and not hasattr(error, "exit_code"):
+        if jax.distributed.is_initialized() and not hasattr(
+            error, "exit_code"
+        ):  # a Stopped ends all, after the first's files
             code = 130 if isinstance(error, KeyboardInterrupt) else 2 if is_input_error(error) else 1
             atexit.register(_leave, code)  # it runs before jax's own
         raise
@@ -50,8 +49,7 @@ def gathered(tree: Any) -> Any:
         if isinstance(leaf, jax.Array) and not leaf.is_fully_addressable:
             if leaf.is_fully_replicated:
                 return np.asarray(leaf.addressable_data(0))
-            with _asking_all_hosts():
-                return np.asarray(multihost_utils.process_allgather(leaf, tiled=True))
+            return _of_all(leaf, tiled=True)
         return np.asarray(leaf)
 
     return jax.tree.map(gather, tree)
@@ -60,27 +58,19 @@ def gathered(tree: Any) -> Any:
 def of_all_hosts(numbers: Sequence[int] | np.ndarray) -> np.ndarray:
     """Return the `numbers` [n] of every host, int32 [hosts, n]; every host must call this. Errors as `gathered`."""
     own = np.asarray(numbers, np.int32)
-    if jax.process_count() == 1:
-        return own[None]
-    with _asking_all_hosts():
-        return np.asarray(multihost_utils.process_allgather(own))
+    return own[None] if jax.process_count() == 1 else _of_all(own)
 
 
 def require_same(*arguments: object) -> None:
-    """Check that all hosts have the `arguments` of this one, which are plain values; every host must call this.
-
-    Raises:
-        ValueError: they have not, or another host has ended.
-    """
+    """Raise an InputError unless all hosts call this with the same `arguments`, plain values, or if another one has ended."""
     digest = np.frombuffer(hashlib.blake2b(repr(arguments).encode(), digest_size=8).digest(), np.int32)
     if (of_all_hosts(digest) != digest).any():
         raise InputError("the hosts have different arguments: start all of them with the same command")
 
 
-@contextlib.contextmanager
-def _asking_all_hosts() -> Iterator[None]:
+def _of_all(array: jax.Array | np.ndarray, tiled: bool = False) -> np.ndarray:
     try:
-        yield
+        return np.asarray(multihost_utils.process_allgather(array, tiled=tiled))
     except (RuntimeError, ValueError) as error:  # jax has no class for it
         cause = str(error).partition("\n")[0]
         remedy = "start the run again on all hosts with earl-jax resume"

@@ -67,9 +67,8 @@ def load_policies(path: Path, like: Any) -> Any:
         dtypes = (leaf.dtype, np.float16)  # half the size, for runs that are kept
         if name not in arrays or arrays[name].shape != leaf.shape or arrays[name].dtype not in dtypes:
             raise InputError(f"{path} does not belong to this run: {name} is not {leaf.dtype}{list(leaf.shape)}")
-    return jax.tree.unflatten(
-        jax.tree.structure(like), [arrays[name].astype(leaf.dtype) for name, leaf in expected.items()]
-    )
+    leaves = [arrays[name].astype(leaf.dtype) for name, leaf in expected.items()]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)
 
 
 def load_visits(path: Path, seeds: int) -> np.ndarray | None:

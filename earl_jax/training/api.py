@@ -24,7 +24,7 @@ from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RESERVED, RunConfig
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.hosts import failing_at_once, first_host, gathered, require_same
+from earl_jax.runs.hosts import failing_at_once, first_host, gathered
 from earl_jax.runs.logging import Log, check_logs
 from earl_jax.runs.policies import policies_step
 from earl_jax.training.forks import require_jax
@@ -93,7 +93,7 @@ def train(
     method = _method_of(task, algo, options)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
     run = Run.resolve(RunConfig.from_objects(task, method, rules, seed_list(seeds), schedule), task, method, rules)
-    plan = _plan(run, devices, limit)  # before the folder, so that an impossible plan creates none
+    plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)
@@ -159,7 +159,7 @@ def resume(
     config.require_objects(task, algo)
     run = Run.resolve(config, task and config.build_setting().wrap(task), algo)
     run.folder, run.listeners = opened, logs
-    return _execute(_plan(run, devices, limit), run, progress, limit)
+    return _execute(plan_runs([run], devices), run, progress, limit)
 
 
 def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
@@ -194,13 +194,6 @@ def require_checkpoint(folder: RunFolder, step: int) -> None:
     if step:
         message = f"{path} has no checkpoint yet, so its {step:,} steps are trained again"
         warnings.warn(message, RunWarning, stacklevel=3)
-
-
-def _plan(run: Run, devices: int | None, limit: TimeLimit | None) -> Plan:
-    """Return the plan of `run`, which all hosts have. Errors as `plan_runs` and `require_same`."""
-    plan = plan_runs([run], devices)
-    require_same(run.config.values, plan.engine, devices, limit is None)
-    return plan
 
 
 def _execute(plan: Plan, run: Run, progress: bool, limit: TimeLimit | None) -> Result:

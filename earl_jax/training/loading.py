@@ -96,13 +96,11 @@ def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:
     if env.map is None:
         return env, None
     saved, checkpoint = policies.policies_step(folder.policies), newest(folder.checkpoints)
-    if saved and saved >= checkpoint:
-        visits = policies.load_visits(folder.policies, len(folder.config.seeds))
-        if visits is not None:
-            return env, visits
-        if not checkpoint:
-            raise InputError(f"{folder.policies} has no map of visits, and no checkpoint is left")
-    return env, np.asarray(load_lanes(folder)[2].visits)
+    is_newer = saved and saved >= checkpoint
+    visits = policies.load_visits(folder.policies, len(folder.config.seeds)) if is_newer else None
+    if visits is None and saved and not checkpoint:
+        raise InputError(f"{folder.policies} has no map of visits, and no checkpoint is left")
+    return env, np.asarray(load_lanes(folder)[2].visits) if visits is None else visits
 
 
 def shapes_of(folder: RunFolder, steps: int = 1) -> tuple[Env, Method, TrainState]:

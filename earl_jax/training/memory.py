@@ -143,12 +143,9 @@ def require(needed: MemoryEstimate, mesh: Mesh | None = None) -> None:
     """
     devices = [jax.devices()[0]] if mesh is None else mesh.local_devices
     count = 1 if mesh is None else mesh.size
-    free = min((free for device in devices if (free := free_bytes(device)) is not None), default=None)
-    if free is None:
-        return
-    if devices[0].platform == "cpu":
-        free //= len(devices)  # they share the memory of their host
-    if needed.total <= free * count:
+    sharing = len(devices) if devices[0].platform == "cpu" else 1
+    free = min((free // sharing for device in devices if (free := free_bytes(device)) is not None), default=None)
+    if free is None or needed.total <= free * count:
         return
     have, each = ("the device has", "") if count == 1 else (f"{count} devices have", " each")
     fitting = counted(free // needed.lane * count, "lane")

@@ -22,7 +22,7 @@ from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.hosts import first_host, gathered
+from earl_jax.runs.hosts import first_host, gathered, require_same
 from earl_jax.runs.logging import Log, OptionalLog, open_logs
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.progress import Progress
@@ -125,14 +125,16 @@ def _evaluate(
 
 
 def plan_runs(runs: Sequence[Run], devices: int | None) -> Plan:
-    """Return the plan of one program for the lanes of all `runs`, in their order. Errors as `prepare`.
+    """Return the plan of one program for the lanes of all `runs`, in their order. Errors as `prepare` and `require_same`.
 
     The runs must have the same env, schedule, `program_structure` of their methods and step of their newest checkpoint.
     Their rules (H_T, settings) can differ, because lanes carry them as arrays, so the plan's protocol has none.
     """
     first, lanes = runs[0], sum(len(run.config.seeds) for run in runs)
     problem = Problem(for_lanes(first.env, lanes), first.protocol.without_rules)
-    return prepare(problem, join_lanes([run.method for run in runs]), lanes, first.config.steps, devices)
+    plan = prepare(problem, join_lanes([run.method for run in runs]), lanes, first.config.steps, devices)
+    require_same([run.config.values for run in runs], plan.engine, devices)
+    return plan
 
 
 def run_program(plan: Plan, runs: Sequence[Run], progress: bool, limit: TimeLimit | None) -> TrainState:

@@ -139,24 +139,17 @@ def test_a_run_without_a_folder_returns_what_it_has():
         _ = result.scores
 
 
-def test_the_first_host_decides_about_the_time(monkeypatch):
-    of_others = [[0, True], [0, False]]
-    monkeypatch.setattr("earl_jax.training.stopping.of_all_hosts", lambda own: np.array([*of_others, own]))
-    stop = StopRequest(TimeLimit.of(30))
-    for expected in (True, False):
-        stop.check()
-        assert (stop.number, stop.requested) == (None, expected)
-        of_others.reverse()
-
-
-def test_a_signal_to_one_host_stops_all_at_the_next_check(monkeypatch):
-    monkeypatch.setattr("earl_jax.training.stopping.of_all_hosts", lambda own: np.array([[0, False], own]))
+def test_a_signal_to_one_host_stops_all_and_the_first_host_decides_about_the_time(monkeypatch):
     monkeypatch.setattr(jax, "process_count", lambda: 2)
-    with StopRequest() as stop:
+    with StopRequest(TimeLimit.of(30)) as stop:
         os.kill(os.getpid(), signal.SIGTERM)
-        assert not stop.requested
+    assert not stop.requested
+    hosts = Mock(side_effect=np.array([[[0, 1], [0, 0]], [[0, 0], [0, 1]], [[0, 0], [signal.SIGTERM, 0]]]))
+    monkeypatch.setattr("earl_jax.training.stopping.of_all_hosts", hosts)
+    for expected in ((None, True), (None, False), (signal.SIGTERM, True)):
         stop.check()
-    assert (stop.number, stop.requested) == (signal.SIGTERM, True)
+        assert (stop.number, stop.requested) == expected
+    hosts.assert_called_with([signal.SIGTERM, False])
 
 
 def test_commands_whose_start_takes_all_minutes_train_a_chunk_and_print_how_to_continue(whole, tmp_path):
