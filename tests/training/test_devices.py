@@ -14,14 +14,12 @@ from earl_jax.training.devices import lane_mesh
 from tests.cli.process import run_code, start_two
 
 FOUR_DEVICES = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4"
-SETUP = """
+COMPARE = """
 import json
 import numpy as np
 import earl_jax
 from earl_jax.training import devices, runner
 tiny = dict(seeds=8, steps=80, eval_every=40, eval_episodes=2, hidden_sizes=[16], batch_size=16, random_steps=20)
-"""
-COMPARE = """
 single, four = (earl_jax.train("sawyer_door", "naive", devices=count, **tiny) for count in (1, 4))
 error = max(float(np.abs(single.metrics[name] - four.metrics[name]).max()) for name in single.metrics)
 problem, mesh = earl_jax.Problem(four.env, four.config.protocol(four.env)), devices.lane_mesh(4, 8)
@@ -40,7 +38,7 @@ print(json.dumps({
 
 @pytest.mark.slow
 def test_four_devices_train_as_one_does_without_a_collective():
-    report = json.loads(run_code(SETUP + COMPARE, XLA_FLAGS=FOUR_DEVICES))
+    report = json.loads(run_code(COMPARE, XLA_FLAGS=FOUR_DEVICES))
     assert report["devices"] == 4
     assert report["collectives"] == []
     assert report["characters"] > 10_000
