@@ -23,9 +23,8 @@ def failing_at_once() -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        if jax.distributed.is_initialized() and not hasattr(
-            error, "exit_code"
-        ):  # a Stopped ends all, after the first's files
+        ends_all = hasattr(error, "exit_code")  # a Stopped, after which the first host has files to write
+        if jax.distributed.is_initialized() and not ends_all:
             code = 130 if isinstance(error, KeyboardInterrupt) else 2 if is_input_error(error) else 1
             atexit.register(_leave, code)  # it runs before jax's own
         raise
@@ -34,7 +33,8 @@ def failing_at_once() -> Iterator[None]:
 def _leave(code: int) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
-    time.sleep(first_host())  # jax aborts the others when the first host ends: let them say why they end
+    if first_host():
+        time.sleep(1)  # jax aborts the others when the first host ends: let them say why they end
     os._exit(code)
 
 
@@ -61,7 +61,7 @@ def of_all_hosts(numbers: Sequence[int] | np.ndarray) -> np.ndarray:
     return own[None] if jax.process_count() == 1 else _of_all(own)
 
 
-def require_same(*arguments: object) -> None:
+def require_same_on_hosts(*arguments: object) -> None:
     """Raise an InputError unless all hosts call this with the same `arguments`, plain values, or if another one has ended."""
     digest = np.frombuffer(hashlib.blake2b(repr(arguments).encode(), digest_size=8).digest(), np.int32)
     if (of_all_hosts(digest) != digest).any():

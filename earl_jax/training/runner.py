@@ -22,7 +22,7 @@ from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import RunConfig, deployed_metric
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.hosts import first_host, gathered, require_same
+from earl_jax.runs.hosts import first_host, gathered, require_same_on_hosts
 from earl_jax.runs.logging import Log, OptionalLog, open_logs
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.progress import Progress
@@ -125,7 +125,7 @@ def _evaluate(
 
 
 def plan_runs(runs: Sequence[Run], devices: int | None) -> Plan:
-    """Return the plan of one program for the lanes of all `runs`, in their order. Errors as `prepare` and `require_same`.
+    """Return the plan of one program for the lanes of all `runs`, in their order, which all hosts have. Errors as `prepare`.
 
     The runs must have the same env, schedule, `program_structure` of their methods and step of their newest checkpoint.
     Their rules (H_T, settings) can differ, because lanes carry them as arrays, so the plan's protocol has none.
@@ -133,7 +133,7 @@ def plan_runs(runs: Sequence[Run], devices: int | None) -> Plan:
     first, lanes = runs[0], sum(len(run.config.seeds) for run in runs)
     problem = Problem(for_lanes(first.env, lanes), first.protocol.without_rules)
     plan = prepare(problem, join_lanes([run.method for run in runs]), lanes, first.config.steps, devices)
-    require_same([run.config.values for run in runs], plan.engine, devices)
+    require_same_on_hosts([run.config.values for run in runs], plan.engine, devices)
     return plan
 
 

@@ -13,7 +13,7 @@ from jax.experimental import multihost_utils
 import earl_jax
 from earl_jax.cli.train import train
 from earl_jax.errors import InputError
-from earl_jax.runs.hosts import failing_at_once, join_hosts, require_same
+from earl_jax.runs.hosts import failing_at_once, join_hosts, require_same_on_hosts
 from tests.cli.process import run, start_two, training
 
 
@@ -28,12 +28,12 @@ def test_hosts_take_auto_or_an_address_with_two_numbers(monkeypatch):
 
 
 def test_hosts_with_different_arguments_are_refused(monkeypatch):
-    require_same("alone")
+    require_same_on_hosts("alone")
     monkeypatch.setattr(jax, "process_count", lambda: 2)
     for other in (0, 1):
         monkeypatch.setattr(multihost_utils, "process_allgather", lambda own, tiled, other=other: [own, own + other])
         with pytest.raises(InputError, match="hosts have different arguments") if other else contextlib.nullcontext():
-            require_same("alike", 1)
+            require_same_on_hosts("alike", 1)
 
 
 @pytest.mark.parametrize("call", [earl_jax.train, earl_jax.resume, train])
