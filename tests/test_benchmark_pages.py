@@ -14,9 +14,7 @@ from earl_jax.metrics.comparison import smallest_p
 from earl_jax.paper.reproduce import ARTEFACTS
 from earl_jax.report.tables import millions, number_text
 from tests.report.run_files import DOOR, change_config, rising, write_run
-
-FORMER = {"nearest_fallback": False, "unmet_goals": False}
-VARIANT = f"{DOOR}/vaprl/{cells.FORMER_VAPRL}"
+from tests.test_differences import FORMER, VARIANT
 
 
 @pytest.mark.parametrize("module", redraw.PAGES, ids=lambda module: module.__name__.rpartition(".")[2])

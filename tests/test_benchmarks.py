@@ -4,6 +4,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+from unittest.mock import Mock, call
 
 import jax
 import jax.numpy as jnp
@@ -29,10 +30,6 @@ class CodeJob(Job):
     @property
     def arguments(self):
         return ("-c", self.module)
-
-
-def code_job(code: str) -> CodeJob:
-    return CodeJob("peer", TABLETOP, code, 1)
 
 
 def test_the_numpy_tabletop_equals_the_jax_task():
@@ -113,7 +110,8 @@ def test_a_ratio_is_to_the_fastest_row_that_ran():
 
 def test_a_row_is_the_last_line_that_its_process_prints():
     row = {"peer": "peer", "lane_steps_per_s": 2.5, "start_s": 1.0, "compile_s": 3.0}
-    assert suite.measure(code_job(f"print('noise'); print({json.dumps(row)!r})"), sys.executable, 60) == row
+    job = CodeJob("peer", TABLETOP, f"print('noise'); print({json.dumps(row)!r})", 1)
+    assert suite.measure(job, sys.executable, 60) == row
 
 
 def test_a_row_that_does_not_run_has_a_reason():
@@ -121,31 +119,24 @@ def test_a_row_that_does_not_run_has_a_reason():
     assert "No module named" in suite.measure(absent, sys.executable, 60)["reason"]
     assert "time was over" in suite.measure(absent, sys.executable, 0)["reason"]
     assert "no/such/python" in suite.measure(absent, "no/such/python", 60)["reason"]
-    slow = suite.measure(code_job("import time; time.sleep(60)"), sys.executable, 1)
+    slow = suite.measure(CodeJob("peer", TABLETOP, "import time; time.sleep(60)", 1), sys.executable, 1)
     assert "timed out" in slow["reason"]
     assert slow["lane_steps_per_s"] is None
 
 
-class FakeProgram:
-    """A program that reports one rate after another."""
-
-    def __init__(self, algo, *rates):
-        self.algo, self._rates = algo, list(rates)
-
-    def run(self, seconds):
-        assert seconds == 5
-
-    def reply(self):
-        return {"steps_per_s": self._rates.pop(0)}
+def fake_program(algo, *rates):
+    """Return a program that reports one rate after another."""
+    return Mock(per_device.Program, algo=algo, reply=Mock(side_effect=[{"steps_per_s": rate} for rate in rates]))
 
 
 def test_programs_at_once_are_compared_with_each_of_them_alone():
     case = per_device.Case.parse("sawyer_door:naive,fbrl:2")
     assert case.programs() == [("naive",), ("fbrl",), ("naive", "fbrl")]
     whole, half = make_slots(1, [], range(8))[0], make_slots(2, [], range(8))[0]
-    alone = [([FakeProgram("naive", 900.0, 1100.0)], whole), ([FakeProgram("fbrl", 500.0, 500.0)], whole)]
-    together = [FakeProgram("naive", 800.0, 800.0), FakeProgram("fbrl", 400.0, 400.0)]
+    alone = [([fake_program("naive", 900.0, 1100.0)], whole), ([fake_program("fbrl", 500.0, 500.0)], whole)]
+    together = [fake_program("naive", 800.0, 800.0), fake_program("fbrl", 400.0, 400.0)]
     rows = per_device._rows(case, [*alone, (together, half)], seconds=5, count=2)
+    assert together[0].run.call_args_list == [call(5)] * 2
     assert [row["steps_per_s_total"] for row in rows] == [1000.0, 500.0, 1200.0]
     assert rows[-1]["gain"] == pytest.approx(0.8 + 0.8)
     assert rows[-1]["wall_gain"] == pytest.approx((1 / 1000 + 1 / 500) * 400)

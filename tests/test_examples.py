@@ -1,8 +1,8 @@
 """The examples of training loops of one's own: they run under the protocol, learn, and are those of the page."""
 
-import importlib.util
 import json
 import re
+import runpy
 from pathlib import Path
 
 import jax
@@ -31,18 +31,11 @@ print(json.dumps({name: numpy.asarray(metrics[name]).tolist() for name in ("depl
 """
 
 
-def example(name):
-    """Return the module examples/`name`.py."""
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize(("name", "options"), [("random_agent", {}), ("ppo", {"rollout": 20})])
 def test_an_example_lives_under_the_protocol_and_reports_both_scores(name, options):
     env, protocol = make("tabletop_organization", reward_type="dense"), Protocol(20, 5, eval_every=40, eval_episodes=2)
-    live = jax.jit(lambda key: example(name).live(env, protocol, key, WINDOWS, **options))
+    example = runpy.run_path(str(EXAMPLES / f"{name}.py"))
+    live = jax.jit(lambda key: example["live"](env, protocol, key, WINDOWS, **options))
     assert "lapack" not in live.lower(jax.random.key(0)).as_text(), "batched factorisations can hang on two cores"
     metrics = jax.device_get(live(jax.random.key(0)))
     assert_all_finite(without_shares(metrics))
