@@ -1,6 +1,7 @@
 """Tests of the progress display in piped output: compilation is announced, and nothing is silent for long."""
 
-import threading
+import io
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from earl_jax.runs import progress
 from earl_jax.runs.progress import Progress, duration
+from tests.cli.process import wait_until
 
 METRICS = {"deployed/success": np.array([0.25, 0.75]), "continuing/reward": np.array([0.0, 0.5])}
 
@@ -58,26 +60,16 @@ def test_a_line_before_the_last_one_has_the_time_left_without_the_compilation(cl
     assert lines[3].endswith("steps/s 20")
 
 
-def test_silence_is_broken_during_a_compilation_and_during_training(capsys, monkeypatch):
-    printed, lines = threading.Event(), []
-
-    def record(self, line):
-        self._last_line = progress.time.monotonic()
-        lines.append(line)
-        if "which compiles" in line or line.startswith("step"):
-            printed.set()
-
-    monkeypatch.setattr(Progress, "_print", record)
+def test_silence_is_broken_during_a_compilation_and_during_training(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", printed := io.StringIO())
     monkeypatch.setattr(progress, "SILENCE", 0.02)
     with make() as bar:
         with bar.working("training"):
-            assert printed.wait(20)
+            line = "\ntraining: still in the first call, which compiles, after"
+            assert wait_until(lambda: line in printed.getvalue(), seconds=20)
         bar.advance(40, 1.0)
-        printed.clear()
         with bar.working("training"):
-            assert printed.wait(20)
-    assert any(line.startswith("training: still in the first call, which compiles, after") for line in lines)
-    assert any(line.startswith("step 40/400  training  steps/s 40") for line in lines)
+            assert wait_until(lambda: "\nstep 40/400  training  steps/s 40" in printed.getvalue(), seconds=20)
 
 
 def test_without_show_nothing_is_printed(clock, capsys):
