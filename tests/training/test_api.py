@@ -94,7 +94,6 @@ def test_options_are_split_into_task_setting_and_method():
         ({"learning_rat": 1e-3}, "method 'fbrl' has no option 'learning_rat'; did you mean learning_rate"),
         ({"step": 5}, "did you mean steps.*`earl-jax list fbrl` lists its options"),
         ({"name": "mine"}, "there is no option 'name'"),
-        ({"steps": 100, "eval_every": 40}, "steps 100 is not a multiple of eval_every 40"),
         ({"eval_episodes": 0}, r"eval_episodes must lie in \[1, 100000\], not 0"),
         ({"goal_change": 5}, "goal_change is an option of the setting 'continuing', but the setting is 'deployment'"),
         ({"intervention_chance": jnp.float32(0.5)}, "deployment: intervention_chance must be a plain value, not 0.5"),

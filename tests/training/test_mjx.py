@@ -2,8 +2,8 @@
 
 import dataclasses
 import functools
-import importlib.util
 import json
+import runpy
 
 import jax
 import jax.numpy as jnp
@@ -21,10 +21,8 @@ STEPS = 16
 @pytest.fixture(scope="module")
 def pendulum():
     """The MuJoCo task of examples/pasture, with one joint: the cheapest to compile on MJX."""
-    spec = importlib.util.spec_from_file_location("earl_pasture_pendulum", PACKAGE / "earl_pasture" / "pendulum.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.PendulumHold(engine="mjx", eval_horizon=6)
+    module = runpy.run_path(str(PACKAGE / "earl_pasture" / "pendulum.py"))
+    return module["PendulumHold"](engine="mjx", eval_horizon=6)
 
 
 @functools.cache

@@ -2,6 +2,7 @@
 
 import dataclasses
 import shutil
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -91,10 +92,6 @@ def test_a_run_can_become_so_short_that_its_replay_evicts_nothing(tmp_path):
     assert_equal_results(shorter, tiny_train("naive", replay_capacity=150))
 
 
-def fail(*_):
-    raise RuntimeError("out of memory")
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A run of unregistered objects that was never stopped."""
@@ -171,7 +168,7 @@ def test_a_run_with_a_budget_is_resumed_with_the_task_or_with_its_wrapper(tmp_pa
 
 @pytest.mark.parametrize("part_that_fails", ["_restored", "_advance"])
 def test_a_longer_run_that_fails_before_its_first_steps_leaves_its_config(folder, part_that_fails, monkeypatch):
-    monkeypatch.setattr(runner, part_that_fails, fail)
+    monkeypatch.setattr(runner, part_that_fails, Mock(side_effect=RuntimeError("out of memory")))
     with unchanged(folder), pytest.raises(RuntimeError, match="out of memory"):
         earl_jax.resume(folder, env=Meadow(), algo=make_patient(), steps=120)
 
