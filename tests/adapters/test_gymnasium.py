@@ -194,7 +194,6 @@ def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
         ({"mood": "eval"}, r"no option 'mood'; choose from mode, .*reward_type"),
         *[({"lanes": 3, **more}, "no option 'lanes'") for more in ({}, {"num_envs": 2})],
         ({"mode": "test"}, "unknown mode 'test'; choose from train, eval"),
-        ({"setting": "lifelong"}, "unknown setting 'lifelong'"),
         ({"attempt_steps": 0}, "attempt_steps must lie in"),
         *[({"attempt_steps": value}, "attempt_steps must be a whole number, not") for value in (None, 1.5, "x", True, [1])],
         *[({"width": value}, "width must") for value in (None, 1.5, -5, 0, 100_000)],

@@ -11,20 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.cli.process import ENVIRONMENT, run_code
+
 ROOT = Path(__file__).parents[2]
 OLD = ROOT / ".cache" / "brax"
 NEEDS = ["jax==0.9.2", "brax==0.14.2", "flax==0.12.6", "optax", "scipy", "mujoco==4.0.0", "mujoco-mjx==3.17.0"]
 PAGE = (ROOT / "docs" / "adapters.md").read_text()
 SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
-
-
-def run(python, *arguments):
-    """Return what a process of `python` prints; another jax than ours does not know all flags of the tests."""
-    inherited = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS" or python == sys.executable}
-    env = {**inherited, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
-    finished = subprocess.run([python, *arguments], env=env, capture_output=True, text=True, timeout=300)
-    assert finished.returncode == 0, finished.stderr
-    return finished.stdout
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +38,11 @@ def python():
 
 @pytest.mark.slow
 def test_braxs_own_sac_learns_from_a_lifetime(python):
-    report = json.loads(run(python, str(ROOT / "tests/adapters/brax_trains.py")).splitlines()[-1])
+    command, env = [python, str(ROOT / "tests/adapters/brax_trains.py")], dict(ENVIRONMENT)
+    env.pop("XLA_FLAGS", None)  # another jax than ours does not know all flags of the tests
+    finished = subprocess.run(command, env=env, capture_output=True, text=True, timeout=300)
+    assert finished.returncode == 0, finished.stderr
+    report = json.loads(finished.stdout.splitlines()[-1])
     before, after = report["rows"][0], report["rows"][-1]
     assert report["jax"].startswith("0.9.")
     assert after["step"] >= 4000
@@ -58,7 +55,7 @@ def test_braxs_own_sac_learns_from_a_lifetime(python):
 def test_a_snippet_of_the_page_runs_and_prints(snippet):
     if "stable_baselines3" in snippet and not importlib.util.find_spec("stable_baselines3"):
         pytest.skip("the learners of other libraries need the extra peers")
-    assert run(sys.executable, "-c", snippet)
+    assert run_code(snippet)
 
 
 def test_the_page_lists_the_versions_that_braxs_trainers_are_tested_with():
