@@ -172,7 +172,6 @@ def test_the_papers_variant_opens_the_appliances_of_the_text_from_a_closed_kitch
     assert {11, 12, 15, 16} in changed, "two distinct burners"
     states = starts(PAPER)
     assert np.abs(states.obs[:, 9:23] - task.CLOSED[9:]).max() < 0.01, "everything is closed at the start"
-    assert len(np.unique(states.obs[:, 23:], axis=0)) == 11, "every goal is drawn"
     assert not np.asarray(states.metrics["success"]).any()
     assert not jax.jit(jax.vmap(PAPER.fault))(states).any()
 
