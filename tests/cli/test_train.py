@@ -11,7 +11,7 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import api
 from earl_jax.training.stopping import Stopped
-from tests.cli.process import run
+from tests.cli.process import one_line, run
 
 CONFIG = RunConfig(
     env="tabletop_organization",
@@ -29,19 +29,18 @@ CONFIG = RunConfig(
 
 
 @pytest.fixture
-def repeated(monkeypatch, tmp_path):
-    """Return a function that runs `train` with arguments; it returns the exit code, the config to train, and stderr."""
-    configs = []
-    monkeypatch.setattr(api, "plan_runs", lambda runs, devices: configs.append(runs[0].config) or 1 / 0)
+def config_of(monkeypatch, tmp_path):
+    """A function that returns the config of the run that `train` with its arguments would train."""
+    plan_runs = Mock(side_effect=ZeroDivisionError)
+    monkeypatch.setattr(api, "plan_runs", plan_runs)
 
-    def train(*arguments):
-        try:
-            code, _, err = run("train", *arguments, "--out", tmp_path / "again")
-        except ZeroDivisionError:
-            return 0, configs[-1], ""
-        return code, None, err
+    def config_of(*arguments):
+        with pytest.raises(ZeroDivisionError):
+            run("train", *arguments, "--out", tmp_path / "again")
+        [resolved], _ = plan_runs.call_args.args
+        return resolved.config
 
-    return train
+    return config_of
 
 
 @pytest.fixture
@@ -53,18 +52,19 @@ def values(config):
     return RunConfig(**config.values, reward_type=config.reward_type).values
 
 
-def test_config_repeats_a_run_from_its_folder_or_its_file(repeated, folder):
-    assert values(repeated("--config", folder.path)[1]) == CONFIG.values
-    assert values(repeated("--config", folder.config_file)[1]) == CONFIG.values
-    others = repeated("--config", folder.path, "--seeds", "8:10")[1]
+def test_config_repeats_a_run_from_its_folder_or_its_file(config_of, folder):
+    assert values(config_of("--config", folder.path)) == CONFIG.values
+    assert values(config_of("--config", folder.config_file)) == CONFIG.values
+    others = config_of("--config", folder.path, "--seeds", "8:10")
     assert values(others) == dataclasses.replace(CONFIG, seeds=(8, 9)).values
 
 
-def test_a_list_of_seeds_ends_before_a_task(repeated):
-    config = repeated("--seeds", "3", "5:7", "8", "tabletop_organization", "--steps", "1e3", "--eval-every", "500")[1]
+def test_a_list_of_seeds_ends_before_a_task(config_of):
+    config = config_of("--seeds", "3", "5:7", "8", "tabletop_organization", "--steps", "1e3", "--eval-every", "500")
     assert (list(config.seeds), config.steps) == ([3, 5, 6, 8], 1000)
 
 
+@pytest.mark.usefixtures("no_training")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -75,10 +75,8 @@ def test_a_list_of_seeds_ends_before_a_task(repeated):
         (["--config", "nowhere"], "nowhere does not exist"),
     ],
 )
-def test_a_missing_config_and_options_that_change_the_run_are_refused(repeated, folder, arguments, message):
-    code, config, err = repeated("--config", folder.path, *arguments)
-    assert (code, config) == (2, None)
-    assert message in err
+def test_a_missing_config_and_options_that_change_the_run_are_refused(folder, tmp_path, arguments, message):
+    one_line(run("train", "--config", folder.path, *arguments, "--out", tmp_path / "again"), message)
 
 
 @pytest.mark.parametrize("command", ["train", "resume"])
@@ -93,11 +91,11 @@ def test_a_signal_leaves_one_json_object(command, folder, monkeypatch):
     assert run(command, *arguments)[1] == ""
 
 
-def test_a_preset_gives_lengths_and_options_and_what_is_given_besides_wins(repeated):
-    config = repeated("tabletop_organization", "--preset", "quick", "--steps", "400", "--set", "batch_size=16")[1]
+def test_a_preset_gives_lengths_and_options_and_what_is_given_besides_wins(config_of):
+    config = config_of("tabletop_organization", "--preset", "quick", "--steps", "400", "--set", "batch_size=16")
     assert (config.seeds, config.steps, config.eval_every) == ((0, 1), 400, 400)
     assert config.options["hidden_sizes"] == (64, 64)
     assert (config.options["batch_size"], config.options["layer_norm"]) == (16, True)
-    paper = repeated("sawyer_door", "--preset", "paper", "--steps", "100000")[1]
+    paper = config_of("sawyer_door", "--preset", "paper", "--steps", "100000")
     assert (paper.seeds, paper.steps, paper.options) == (tuple(range(5)), 100_000, {})
-    assert repeated("sawyer_door", "--preset", "paper")[1].steps == 4_000_000
+    assert config_of("sawyer_door", "--preset", "paper").steps == 4_000_000
