@@ -3,6 +3,7 @@
 import shutil
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -31,17 +32,15 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("reproduced")
 
 
-@pytest.fixture(autouse=True)
-def _shared_programs(monkeypatch):
-    """Let the workers of a sweep use the suite's compiled programs."""
-    for name, value in ADDED.items():
-        monkeypatch.setenv(name, value)
-
-
 @pytest.fixture
 def planner_in_process(monkeypatch):
-    """Plan in this process; tests/sweeps/test_launcher.py starts the planner's own, which takes seconds to import."""
+    """Plan in this process, and let workers use the suite's compiled programs.
+
+    tests/sweeps/test_launcher.py starts the planner's own process, which takes seconds to import.
+    """
     monkeypatch.setattr(launcher, "plan_sweep", lambda path, out, lanes=None, logs=(): plan(path, out.resolve(), lanes))
+    for name, value in ADDED.items():
+        monkeypatch.setenv(name, value)
 
 
 @pytest.fixture
@@ -151,17 +150,12 @@ def test_the_trade_off_varies_epsilon_and_the_budget_on_two_tasks(tmp_path):
 
 
 def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_written(tmp_path, monkeypatch):
-    lines, given = [], {}
-
-    def stop(*_, **options):
-        given.update(options)
-        return Outcome(unfinished=("tabletop_organization/fbrl/x",))
-
-    monkeypatch.setattr(reproduce, "sweep", stop)
-    monkeypatch.setattr("earl_jax.cli.sweep.print_line", lines.append)
-    succeed("reproduce", "table1", "--out", tmp_path / "out", "--per-device", "auto", "--minutes", "5")
+    sweep = Mock(return_value=Outcome(unfinished=("tabletop_organization/fbrl/x",)))
+    monkeypatch.setattr(reproduce, "sweep", sweep)
+    output = succeed("reproduce", "table1", "--out", tmp_path / "out", "--per-device", "auto", "--minutes", "5")
+    given = sweep.call_args.kwargs
     assert (given["minutes"].minutes, given["per_device"]) == (5, "auto")
-    assert lines == ["table1 is not written; unfinished runs: tabletop_organization/fbrl/x"]
+    assert output == "table1 is not written; unfinished runs: tabletop_organization/fbrl/x\n"
     assert not (tmp_path / "out/table1").exists()
     assert reproduce.reproduce("table1", out=str(tmp_path / "out")) == ([], ())
 
