@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.util
+from unittest.mock import Mock
 
 import jax
 import jax.numpy as jnp
@@ -94,18 +95,13 @@ def test_engines_move_the_joints_of_the_other_tasks_alike(name, engine):
 @pytest.mark.parametrize("name", SAWYER)
 def test_c_makes_one_call_for_all_lanes_of_nested_vmaps(name, monkeypatch):
     env = make(name, engine="c")
-    host, row_counts = c.host_of(env.simulator, 0), []
-
-    def count_rows(rows):
-        row_counts.append(len(rows))
-        return host(rows)
-
-    monkeypatch.setattr(c, "host_of", lambda simulator, memory: count_rows)
+    host = Mock(wraps=c.host_of(env.simulator, 0))
+    monkeypatch.setattr(c, "host_of", lambda simulator, memory: host)
     states = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), starts(env, count=6))
     action = jnp.array([0.3, -0.2, 0.1, -1.0])
     nested = jax.jit(jax.vmap(jax.vmap(lambda s: env.step(s, action))))(states)
     nested.obs.block_until_ready()
-    assert row_counts == [6]
+    assert [len(rows) for (rows,), _ in host.call_args_list] == [6]
     alone = program(env, "step")(jax.tree.map(lambda leaf: leaf[1, 2], states), action)
     np.testing.assert_allclose(nested.obs[1, 2], alone.obs, rtol=1e-6, atol=1e-6)
 
