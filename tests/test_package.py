@@ -13,6 +13,7 @@ import earl_jax
 from tests.cli.process import run_code
 
 ROOT = Path(__file__).parents[1]
+MOST_LINES = 300
 MOST_BYTES = 25 * 2**20
 USE = """
 import sys, earl_jax
@@ -95,9 +96,11 @@ def test_the_package_lists_its_public_names_and_has_no_others():
 
 
 @pytest.mark.skipif(shutil.which("git") is None or not (ROOT / ".git").exists(), reason="needs git and its repository")
-def test_the_tracked_files_have_at_most_25_mib():
+def test_the_tracked_files_have_at_most_25_mib_and_python_files_300_lines():
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     files = [path for name in listed.split("\0") if name and (path := ROOT / name).is_file()]
     sizes = {path: path.stat().st_size for path in files}
     largest = ", ".join(str(path.relative_to(ROOT)) for path in sorted(sizes, key=sizes.__getitem__)[-5:])
     assert sum(sizes.values()) <= MOST_BYTES, f"{sum(sizes.values()):,} bytes; the largest are {largest}"
+    code = [path for path in files if path.suffix == ".py"]
+    assert [path for path in code if len(path.read_text().splitlines()) > MOST_LINES] == []

@@ -1,4 +1,4 @@
-"""The training step and its evaluations: deterministic, independent of the number of lanes, with correct phases and batches."""
+"""The training step: deterministic, independent of the number of lanes, with correct phases and batches."""
 
 import functools
 
@@ -6,9 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flax import struct
 
-from earl_jax.algos import SAC, Learner, Method
+from earl_jax.algos import SAC, Method
 from earl_jax.algos.method import RETURN
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
@@ -22,7 +21,6 @@ from tests.conftest import (
     advance,
     assert_all_finite,
     assert_equal_trees,
-    evaluate,
     lane_rules,
     make_problem,
     make_train_state,
@@ -217,65 +215,6 @@ def test_an_order_is_a_dependency_on_every_array_that_the_compiler_keeps_and_tha
     np.testing.assert_array_equal(jax.jit(after)(value, first, None), value)
     assert after(value, first).dtype == value.dtype
     assert after(value, None) is value
-
-
-def test_an_evaluation_repeats_and_changes_nothing_but_the_reward_window(problem):
-    method = tiny_method("naive")
-    state = make_train_state(problem, method, [0, 1])
-    counters = state.lanes.counters.replace(window_reward=jnp.array([3.0, 0.0]))
-    state = state.replace(lanes=state.lanes.replace(counters=counters), step=jnp.asarray(40, jnp.int32))
-    after, metrics = evaluate(problem, method, state)
-    assert metrics["continuing/reward"].tolist() == pytest.approx([3 / 40, 0.0])
-    closed = counters.replace(window_reward=jnp.zeros(2), total_reward=jnp.array([3.0, 0.0]))
-    assert_equal_trees(after, state.replace(lanes=state.lanes.replace(counters=closed)))
-    again = evaluate(problem, method, after)[1]
-    assert again["deployed/success"].tolist() == metrics["deployed/success"].tolist()
-    assert again["deployed/return"].tolist() == metrics["deployed/return"].tolist()
-
-
-class Reporter(Method):
-    shape: tuple = struct.field(pytree_node=False, default=())
-    name = "reporter"
-
-    def init(self, key, env, goals):
-        return {"metrics": {"answer": jnp.full(self.shape, 42.0)}}
-
-
-class Idle(struct.PyTreeNode):
-    actor: tuple = ()
-
-
-class Rest(Learner):
-    """A baseline without parameters, which does not move."""
-
-    name = "rest"
-
-    def init(self, key, obs_size, action_size, entropy_free_pairs=0):
-        return Idle()
-
-    def act(self, key, actor, obs):
-        return jnp.zeros(1)
-
-    greedy = functools.partialmethod(act, None)
-
-    def update(self, key, agent, batch):
-        return agent, {}
-
-
-def test_scalars_in_the_dict_metrics_of_a_method_are_metrics_and_a_learner_without_parameters_is_finite():
-    """The former used to be left out, and the latter a TypeError; tests/algos/test_methods.py has an attribute, MEDAL's."""
-    problem = make_problem(Chain(eval_horizon=2), eval_every=40, eval_episodes=1)
-    method = per_lane(Reporter(Rest()), 2)
-    metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]
-    assert metrics["reporter/answer"].tolist() == [42.0, 42.0]
-    assert metrics["diverged"].tolist() == [0, 0]
-    odd = {r"'reporter/answer' of metrics.csv must be number\[\], not float32\[3\]": Reporter(Rest(), shape=(3,))}
-    for name in ("seed", "interventions"):
-        odd[f"'{name}' is a column of every metrics"] = Reporter(type("Odd", (Rest,), {"diagnostics": (name,)})())
-    for message, method in odd.items():
-        method = per_lane(method, 2)
-        with pytest.raises(ValueError, match=message):
-            evaluate(problem, method, make_train_state(problem, method, [0, 1]))
 
 
 def test_the_task_is_rewarded_whichever_controller_acts(env, problem):
