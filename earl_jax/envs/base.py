@@ -250,7 +250,7 @@ def _checked(name: str, values: jax.Array, size: int) -> jax.Array:
     """Return a copy of `values [size]` as float32. Errors as `Env.step`."""
     if (shape := np.shape(values)) != (size,):
         raise InputError(f"{name} has shape {shape}, this task takes {(size,)}; for a batch of lanes use jax.vmap")
-    if not isinstance(values, Tracer) and not np.isfinite(np.asarray(values)).all():
+    if not isinstance(values, Tracer) and not np.isfinite(np.asarray(values, np.float32)).all():
         raise InputError(f"{name} is not finite: {np.asarray(values).tolist()}")
     return jnp.array(values, jnp.float32)
 

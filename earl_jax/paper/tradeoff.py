@@ -113,7 +113,7 @@ def _rows(key: Row, run: Curves, last: int) -> list[Row]:
     metrics = {name: values[:, until] for name, values in run.metrics.items()}
     deployed = metrics[run.deployed_metric]
     scores = {
-        "interventions": np.sum([metrics[name][:, -1] for name in SPENT if name in metrics], axis=0),
+        "interventions": sum((metrics[name][:, -1] for name in SPENT if name in metrics), np.zeros(len(deployed))),
         "final": final,
         "deployed_area": deployed_area(run.steps[until], deployed),
         "ended": metrics["help/over"][:, -1] if key["kind"] == "budget" else np.zeros(len(deployed)),

@@ -157,7 +157,8 @@ def pooling_key(config: RunConfig) -> str:
     """Return a text that is the same for runs whose seeds can be pooled: same task, setting, method, options and classes."""
     values = [config.env, config.env_options, config.setting, config.algo, config.options]
     values += [config.env_class, config.algo_class]
-    return json.dumps(values, sort_keys=True, default=repr)
+    plain = json.loads(json.dumps(values, default=repr), parse_int=float)  # 1 and 1.0 are the same option
+    return json.dumps(plain, sort_keys=True)
 
 
 def pooled(parts: Sequence[Curves]) -> Curves:

@@ -114,7 +114,7 @@ def run_table(rows: Sequence[Row]) -> Table:
         mean = (f"{rows[0]['metric']}, mean [95 %]", lambda row: _interval(row, "mean", ("low", "high"), ".4g"))
         return Table.of([*NAMES, ("seeds", lambda row: row["seeds"]), STEPS, mean], rows, [score, *options])
     life = [(name, cell) for name, cell in LIFE if any(cell(row) != "-" for row in rows)]
-    crossed = [CROSSED] if any(row["seeds_above_half"] is not None for row in rows) else []
+    crossed = [CROSSED] if any(row[f"steps_to_{LEVELS[0]}"] is not None for row in rows) else []
     return Table.of([*COLUMNS, *life], rows, [score, *crossed, *([LEGEND] if life else []), *options])
 
 

@@ -19,9 +19,13 @@ from earl_jax.errors import InputError, is_input_error
 
 @contextlib.contextmanager
 def failing_at_once() -> Iterator[None]:
-    """After an error in this context, let this process end without jax's wait for the other hosts, which wait for it."""
+    """After an error in this context, let this process end without jax's wait for the other hosts, which wait for it.
+
+    A later context without an error, after which the process can go on, takes that back.
+    """
     try:
         yield
+        atexit.unregister(_leave)
     except BaseException as error:
         ends_all = hasattr(error, "exit_code")  # a Stopped, after which the first host has files to write
         if jax.distributed.is_initialized() and not ends_all:

@@ -69,6 +69,8 @@ def read_table(path: Path) -> dict[str, Any]:
         table = tomllib.loads(path.read_text("utf-8-sig"), parse_float=parse_number)
         for file in _names(table, "import") if "import" in table else ():
             imports.note(os.path.abspath(path.parent / file))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} can't be read: {error}") from error
     imports.run_noted()

@@ -23,6 +23,8 @@ Task = dict[str, Any]
 """What a worker reads: a `grid` to plan, or the configs of `runs` to train, as `worker.serve` takes them."""
 Event = dict[str, Any]
 """What a worker prints: the `state` of a `run` with a `detail`, the step or why it failed; or the `plan` of a grid."""
+EVENTS = ({"run", "state", "detail"}, {"state", "plan"}, {"state", "detail"})
+"""The keys of the events of a run, of a grid that is planned, and of one that is refused."""
 
 
 def start(task: Task, slot: Slot) -> subprocess.Popen[str]:
@@ -53,7 +55,7 @@ def events(worker: subprocess.Popen[str]) -> Iterator[Event]:
             event = json.loads(line)
         except json.JSONDecodeError:
             event = None
-        if isinstance(event, dict) and "state" in event and event.keys() & {"detail", "plan"}:
+        if isinstance(event, dict) and event.keys() in EVENTS:
             yield event
         else:
             sys.stderr.write(line)  # as a whole, because other workers write too

@@ -233,10 +233,12 @@ def _open_study(path: Path, values: dict[str, str]) -> tuple[Any, Any]:
     try:
         storage = module.storages.JournalStorage(module.storages.journal.JournalFileBackend(str(path)))
         study = module.create_study(storage=storage, study_name="search", direction="maximize", load_if_exists=True)
-        begun = dict(study.user_attrs.get("search", values))
+        begun = study.user_attrs.get("search", values)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         cause = f"{type(error).__name__}: {error}"  # the repr of an error of UTF-8 holds the whole file
         raise InputError(f"{path} is damaged: {cause}; restore it, or delete it to start again") from error
+    if not isinstance(begun, dict):
+        raise InputError(f"{path} was begun by another version of earl_jax; choose another --out")
     require_same(f"{path} is of a search", begun, values)
     study.set_user_attr("search", values)
     return study, storage

@@ -31,7 +31,7 @@ class StopRequest:
     """A context that records SIGINT, SIGTERM and SIGHUP instead of their default actions; a second signal acts at once.
 
     Handlers that others have installed stay, and a signal that is ignored, as by `nohup`, stays so. Several hosts have to
-    stop at the same step: a signal to any of them counts from the next `check` on, and the clock of the first for all.
+    stop at the same step: a signal to any of them, or the end of its limit, counts for all from the next `check` on.
     """
 
     def __init__(self, limit: TimeLimit | None = None):
@@ -47,7 +47,7 @@ class StopRequest:
     def check(self) -> None:
         """Request a stop if the limit has passed or a host has a signal; every host must call this after the same steps."""
         received, passed = of_all_hosts([self._received, self._limit is not None and self._limit.passed]).T
-        self.number, self._timed_out = int(received.max()) or None, bool(passed[0])
+        self.number, self._timed_out = int(received.max()) or self.number, bool(passed.any())
 
     def __enter__(self) -> "StopRequest":
         if threading.current_thread() is threading.main_thread():

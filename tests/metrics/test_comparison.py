@@ -121,6 +121,8 @@ def test_the_permutation_test_enumerates_few_seeds_and_draws_among_many():
     assert permutation(many, many + 100).p == pytest.approx(1 / 20_001)
     rounded = np.array([0.90000004, 0.0, 1.0])  # nine of ten episodes, as float32 has them
     assert permutation(np.array([0.4, 0.5, 0.7]), rounded).p == pytest.approx(18 / 20)
+    diverged = np.array([4.0, 5.0, 1e9])  # the size of one score makes no ties among the others
+    assert permutation(scores, diverged).p == pytest.approx(2 / 20)
 
 
 @pytest.mark.parametrize("sizes", [(2, 2), (5, 5), (4, 2), (5, 10), (10, 12)])

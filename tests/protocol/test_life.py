@@ -209,7 +209,7 @@ def test_an_attempt_has_a_step_and_a_goal_the_tasks_shape_the_type_of_a_state_an
     with pytest.raises(ValueError, match="attempt_steps must lie in"):
         init(Chain(), Protocol(0, 4), KEYS[0], attempt_steps=0)
     life = init(Chain(), Protocol(0, 4), KEYS[0])
-    for goal, message in (([0, 0], r"has shape \(2,\), this task takes \(1,\)"), ([np.nan], r"is not finite: \[nan\]")):
+    for goal, message in (([0, 0], r"has shape \(2,\), this task takes \(1,\)"), ([1e300], "is not finite: ")):
         with pytest.raises(ValueError, match=f"goal {message}"):
             set_goal(Chain(), life, goal)
     assert set_goal(Chain(), life, np.array([2])).obs.tolist() == [0.0, 2.0]

@@ -44,9 +44,9 @@ def test_each_of_many_runs_is_pooled_once_with_the_earlier_ones(tmp_path, monkey
 
 def test_runs_are_pooled_over_their_common_steps(tmp_path):
     paths = [
-        write_run(tmp_path / "a", TABLETOP, "naive", rising(1, 3)),
-        write_run(tmp_path / "b", TABLETOP, "naive", rising(1, 2), steps=(20, 40), seeds=(1,)),
-        write_run(tmp_path / "c", TABLETOP, "naive", rising(1, 2), steps=(50, 100), seeds=(2,)),
+        write_run(tmp_path / "a", TABLETOP, "naive", rising(1, 3), reward_scale=2.0),
+        write_run(tmp_path / "b", TABLETOP, "naive", rising(1, 2), steps=(20, 40), seeds=(1,), reward_scale=2),
+        write_run(tmp_path / "c", TABLETOP, "naive", rising(1, 2), steps=(50, 100), seeds=(2,), reward_scale=2.0),
     ]
     with pytest.warns(RunWarning, match=r"b is pooled with \S*a and counts up to step 20 of 40 only"):
         [run] = read_all(paths[:2])

@@ -45,6 +45,10 @@ def test_a_host_that_fails_before_its_first_step_does_not_wait_for_the_others(ca
     with pytest.raises(KeyboardInterrupt), failing_at_once():
         raise KeyboardInterrupt
     assert [registered.args[1] for registered in atexit.register.call_args_list] == [2, 130]
+    monkeypatch.setattr(atexit, "unregister", Mock())
+    with failing_at_once():
+        pass
+    atexit.unregister.assert_called_once_with(atexit.register.call_args.args[0])
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Searches: Optuna proposes, runs below the median end, and a kill changes nothing. A formula replaces the training of runs."""
 
 import json
+import re
 import signal
 import sys
 import warnings
@@ -104,6 +105,10 @@ def test_a_search_that_is_killed_ends_as_one_that_is_not(space, tmp_path, batche
     differences = r"options\.discount FloatD.*=0.99, .* there, FloatD.*=0.9, .* here; rungs \(80, 120\) there, \(40, 8"
     with pytest.raises(ValueError, match=rf"search\.journal is of a search that differs \({differences}"):
         search(tmp_path / "other.toml", tmp_path / "out", trials=8, **{**arguments, "rungs": 3})
+    journal = tmp_path / "out/search.journal"
+    journal.write_text(re.sub(r'"search": ?\{.*?\}', '"search": "text"', journal.read_text()))
+    with pytest.raises(ValueError, match=r"search\.journal was begun by another version of earl_jax"):
+        search(space, tmp_path / "out", trials=8, **arguments)
     others = search(space, tmp_path / "other", trials=4, seed=1, **arguments)
     assert [trial.options for trial in others] != [trial.options for trial in whole[:4]]
 

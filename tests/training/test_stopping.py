@@ -139,17 +139,28 @@ def test_a_run_without_a_folder_returns_what_it_has():
         _ = result.scores
 
 
-def test_a_signal_to_one_host_stops_all_and_the_first_host_decides_about_the_time(monkeypatch):
+def test_a_signal_to_one_host_or_the_end_of_its_minutes_stops_all(monkeypatch):
     monkeypatch.setattr(jax, "process_count", lambda: 2)
     with StopRequest(TimeLimit.of(30)) as stop:
         os.kill(os.getpid(), signal.SIGTERM)
     assert not stop.requested
-    hosts = Mock(side_effect=np.array([[[0, 1], [0, 0]], [[0, 0], [0, 1]], [[0, 0], [signal.SIGTERM, 0]]]))
+    hosts = Mock(side_effect=np.array([[[0, 0], [0, 1]], [[0, 0], [0, 0]], [[0, 0], [signal.SIGTERM, 0]]]))
     monkeypatch.setattr("earl_jax.training.stopping.of_all_hosts", hosts)
     for expected in ((None, True), (None, False), (signal.SIGTERM, True)):
         stop.check()
         assert (stop.number, stop.requested) == expected
     hosts.assert_called_with([signal.SIGTERM, False])
+
+
+def test_a_signal_during_a_check_is_not_forgotten(monkeypatch):
+    def interrupted(numbers):
+        os.kill(os.getpid(), signal.SIGINT)
+        return np.array([numbers])
+
+    monkeypatch.setattr("earl_jax.training.stopping.of_all_hosts", interrupted)
+    with StopRequest() as stop:
+        stop.check()
+    assert stop.number == signal.SIGINT
 
 
 def test_commands_whose_start_takes_all_minutes_train_a_chunk_and_print_how_to_continue(whole, tmp_path):
