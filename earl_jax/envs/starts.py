@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from earl_jax.envs.base import Env
 from earl_jax.envs.state import State
-from earl_jax.errors import InputError, brief, require_known
+from earl_jax.errors import InputError, require_known
 from earl_jax.options.jax_settings import package_types
 
 STARTS = ("initial", "uniform", "wide")
@@ -32,12 +32,6 @@ def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
         reason = ": they belong to sparse tasks whose object can be anywhere" if starts == "wide" else ""
         raise InputError(f"{env.name} has no {starts} starts{reason}")
     return package_types()(start)
-
-
-def require_pairs(name: str, pairs: str) -> None:
-    """Raise an InputError with the option `name` and the choices if `pairs` is none of `EVAL_PAIRS`."""
-    if pairs not in EVAL_PAIRS:
-        raise InputError(f"{name} must be one of {', '.join(EVAL_PAIRS)}, not {brief(pairs)}")
 
 
 @package_types()

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from earl_jax.envs import Env, State, balanced_starts
-from earl_jax.envs.starts import require_pairs
+from earl_jax.envs.starts import EVAL_PAIRS
+from earl_jax.errors import require_known
 from earl_jax.options.values import EPISODES, require
 
 WIDE = "deployed/success_wide"
@@ -54,7 +55,7 @@ def deployed(
     Raises:
         ValueError: `pairs` is unknown, or `episodes` are fewer than one.
     """
-    require_pairs("pairs", pairs)
+    require_known("pairs", pairs, EVAL_PAIRS)
     require("episodes", episodes, EPISODES)
     if pairs == "balanced":
         states = balanced_starts(env, key, episodes)

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs import Env, State
-from earl_jax.envs.starts import EVAL_PAIRS, require_pairs
+from earl_jax.envs.starts import EVAL_PAIRS
 from earl_jax.envs.state import tree_where
+from earl_jax.errors import require_known
 from earl_jax.metrics.continuing import Counters
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import advance_phase_stats
@@ -155,7 +156,7 @@ class Protocol:
     """How evaluations draw pairs of start and task goal: each at `random`, or `balanced`, every pair equally often."""
 
     def __post_init__(self):
-        require_pairs("eval_pairs", self.eval_pairs)
+        require_known("eval_pairs", self.eval_pairs, EVAL_PAIRS)
         check_intervals("protocol", self)
 
     @property

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.envs import Env, State, View
-from earl_jax.errors import InputError, brief
+from earl_jax.errors import InputError, brief, require_known
 from earl_jax.options.values import COUNT, require
 from earl_jax.rendering.overlays import with_overlay
 
@@ -52,8 +52,8 @@ class Scene:
         self._view = view_of(env)
         self.model = _drawn_model(env)
         known = _camera_names(self.model)
-        if camera is not None and camera not in known:
-            raise InputError(f"no camera {camera!r}; choose from {', '.join(known)}")
+        if camera is not None:
+            require_known("camera", camera, known)
         self.camera = camera or ("default" if "default" in known else -1)
         self._state = mujoco.MjData(self.model), _options(mujoco, STATE_GROUPS)
         self._goal = mujoco.MjData(self.model), _options(mujoco, GOAL_GROUPS)

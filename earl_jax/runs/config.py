@@ -13,7 +13,7 @@ import numpy as np
 from earl_jax.algos import Method, algo_class, list_algos, list_learners, make_algo, preset_learner
 from earl_jax.algos.method import check_method
 from earl_jax.envs import Env, env_class, list_envs, make
-from earl_jax.errors import InputError, brief
+from earl_jax.errors import InputError, brief, require_known
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.imports import Record, check_records, latest, records, short_hash
 from earl_jax.options.registry import LEARNER, NOUNS, class_name
@@ -71,8 +71,7 @@ class RunConfig:
         for field in ("env_class", "algo_class"):
             if not isinstance(getattr(self, field), str | None):
                 raise InputError(f"{field} must be text or null, not {brief(getattr(self, field))}")
-        if self.reward_type not in tuple(DEPLOYED):
-            raise InputError(f"reward_type must be one of {', '.join(DEPLOYED)}, not {brief(self.reward_type)}")
+        require_known("reward_type", self.reward_type, DEPLOYED)
         check_records(self.imports)
         reserved = RESERVED & {*self.env_options, *self.options}
         if reserved:

@@ -9,9 +9,9 @@ import numpy as np
 from earl_jax.algos import Method
 from earl_jax.envs import start_of, with_engine, without_budget
 from earl_jax.envs.checks import require_result
-from earl_jax.envs.starts import EVAL_PAIRS, STARTS, require_pairs
+from earl_jax.envs.starts import EVAL_PAIRS, STARTS
 from earl_jax.envs.state import all_finite
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, require_known
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import phase_metrics
@@ -101,7 +101,7 @@ def _pairs_of(run: RunFolder, starts: str, pairs: str | None) -> str:
     """Return how an evaluation of `run` draws pairs of start and goal; raise a ValueError if `pairs` is unknown or impossible."""
     if pairs is None:
         return run.config.build_setting().eval_pairs if starts == STARTS[0] else EVAL_PAIRS[0]
-    require_pairs("pairs", pairs)
+    require_known("pairs", pairs, EVAL_PAIRS)
     if starts != STARTS[0] and pairs != EVAL_PAIRS[0]:
         raise InputError(f"{pairs} pairs are those of the task's own starts, not of {starts} ones")
     return pairs

@@ -13,7 +13,7 @@ import numpy as np
 
 from earl_jax.algos import Method
 from earl_jax.envs import Env
-from earl_jax.errors import InputError, printable
+from earl_jax.errors import InputError, printable, require_known
 from earl_jax.metrics.scores import DEFAULT, Score, Scores, Window, lifetime_scores
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
@@ -78,8 +78,8 @@ class Result:
             ValueError: there is no evaluation yet, no such metric, or `window` is no `Window`.
         """
         name = metric or self.config.deployed_metric
-        if self.metrics and name not in self.metrics:
-            raise InputError(f"there is no metric {name!r}; choose from {', '.join(self.metrics)}")
+        if self.metrics:
+            require_known("metric", name, self.metrics)
         return Score.of(self.steps, self.metrics, name, window)
 
     @property

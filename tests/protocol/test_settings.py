@@ -54,7 +54,7 @@ def test_unknown_settings_and_options_are_refused():
 def test_a_setting_balances_the_pairs_of_evaluations(env):
     assert Deployment(eval_pairs="balanced").protocol(env) == Protocol(200_000, 200, eval_pairs="balanced")
     assert Continuing(eval_pairs="balanced").protocol(env).eval_pairs == "balanced"
-    with pytest.raises(ValueError, match="eval_pairs must be one of random, balanced, not 'stratified'"):
+    with pytest.raises(ValueError, match="unknown eval_pairs 'stratified'; choose from random, balanced"):
         Deployment(eval_pairs="stratified").protocol(env)
 
 

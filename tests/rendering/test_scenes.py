@@ -40,7 +40,7 @@ def test_images_show_the_state_and_the_goal(graphics, env):
 def test_unknown_cameras_and_sizes_and_tasks_without_pictures_are_refused(graphics, env):
     with pytest.raises(ValueError, match="chain cannot be drawn: it has no view"):
         Scene(Chain(), SMALL)
-    with pytest.raises(ValueError, match="no camera 'mine'; choose from default, above"):
+    with pytest.raises(ValueError, match="unknown camera 'mine'; choose from default, above"):
         Scene(env, SMALL, camera="mine")
     with pytest.raises(ValueError, match="height must lie in"):
         Scene(env, (0, 8))

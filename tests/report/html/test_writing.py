@@ -84,7 +84,7 @@ def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
     write_run(tmp_path / "huge", TABLETOP, "naive", [[1e200, -1e200], [1e308, 1e308]], metrics={"continuing/reward": 1})
     causes = {
         "offline": {"setting": {"name": "offline"}},
-        "reward_type must be one of sparse, dense, not 5": {"reward_type": 5},
+        "unknown reward_type 5; choose from sparse, dense": {"reward_type": 5},
     }
     for number, values in enumerate(causes.values()):
         change_config(write_page_run(tmp_path / f"broken{number}", "fbrl", rising(2, 2)), **values)
