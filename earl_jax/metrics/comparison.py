@@ -129,7 +129,8 @@ def permutation(scores: np.ndarray, others: np.ndarray) -> Comparison:
     """Return mean(`scores`) minus mean(`others`) of independent seeds, [seeds] each, with p of the permutation test.
 
     All splits of the seeds are enumerated, or 20,000 drawn if there are more. The interval is Welch's. There is no p if a
-    score is not finite.
+    score is not finite. A split whose difference is that of the scores up to `ROUNDING` of the seeds that change sides
+    counts as equal.
     """
     result = welch(Sample.of(scores), Sample.of(others))
     if min(len(scores), len(others)) < 2 or not math.isfinite(result.difference):
