@@ -4,7 +4,6 @@ import functools
 import json
 import os
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -118,14 +117,13 @@ def _check_copied(run: Curves, added: int) -> None:
 
 def _once(run: Curves) -> Curves:
     """Return `run` with a row for each seed: the mean of its runs, which are not independent. A `RunWarning` names them."""
-    counts = Counter(run.run_seeds)
-    repeated = [seed for seed, count in counts.items() if count > 1]
+    seeds, repeated = run.run_seeds, run.repeated_seeds
     if not repeated:
         return run
     paths = " and ".join(str(folder.path) for folder in run.runs if {*repeated} & {*folder.config.seeds})
     text = f"{paths} have seed {', '.join(map(str, repeated))}; each counts once, by the mean of its runs"
     warnings.warn(text, RunWarning, stacklevel=3)
-    rows = [np.equal(run.run_seeds, seed) for seed in counts]
+    rows = [np.equal(seeds, seed) for seed in dict.fromkeys(seeds)]
     means = {name: np.stack([values[row].mean(axis=0) for row in rows]) for name, values in run.metrics.items()}
     return run._replace(metrics=Columns(run.runs[0].path, means))
 

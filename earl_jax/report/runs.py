@@ -1,6 +1,7 @@
 """Curves read from run folders, grouped by task and method."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -65,6 +66,11 @@ class Curves(NamedTuple):
     def run_seeds(self) -> list[int]:
         """The seeds of `runs` in their order, with repetition; of a seed that ran more than once, the curves have one row."""
         return [seed for run in self.runs for seed in run.config.seeds]
+
+    @property
+    def repeated_seeds(self) -> list[int]:
+        """The seeds that ran more than once."""
+        return [seed for seed, count in Counter(self.run_seeds).items() if count > 1]
 
     @property
     def task_options(self) -> dict[str, Any]:

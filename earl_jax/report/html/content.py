@@ -91,7 +91,7 @@ def _notes(lines: Sequence[Line]) -> list[str]:
         trained, planned = int(line.curves.steps[-1]), max(run.config.steps for run in line.curves.runs)
         if trained < planned:
             notes.append(f"{line.curves.label}: {trained:,} of {planned:,} steps trained.")
-        repeated = ", ".join(str(seed) for seed in sorted(line.seeds) if line.curves.run_seeds.count(seed) > 1)
+        repeated = ", ".join(map(str, sorted(line.curves.repeated_seeds)))
         if repeated:
             notes.append(f"{line.curves.label}: seed {repeated} ran more than once and counts by the mean of its runs.")
     return notes
