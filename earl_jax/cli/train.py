@@ -12,7 +12,7 @@ from earl_jax.cli.descriptions import stored
 from earl_jax.errors import InputError
 from earl_jax.options.imports import resume_command
 from earl_jax.options.presets import ALGO, Preset, named_preset
-from earl_jax.options.schedule import FIELDS, Schedule
+from earl_jax.options.schedule import Schedule
 
 if TYPE_CHECKING:
     from earl_jax.algos import Method
@@ -73,7 +73,12 @@ def train(
 
     join_hosts(hosts)
     with failing_at_once(), stopping(json, {"out": str(out), "resume": resume_command(out)}):
-        lengths = dict(zip(FIELDS, (steps, eval_every, eval_episodes, checkpoint_every), strict=True))
+        lengths = {
+            "steps": steps,
+            "eval_every": eval_every,
+            "eval_episodes": eval_episodes,
+            "checkpoint_every": checkpoint_every,
+        }
         named = {"learner": learner, "setting": setting}
         if config is None:
             task, method, rules, known_seeds, schedule = _by_name(env, algo, preset, steps, named, set)

@@ -115,10 +115,12 @@ def relative_drop(before: Any, after: Any) -> Estimate:
     if before.shape != after.shape:
         raise InputError(f"a drop compares the same seeds, but there are {len(before)} before and {len(after)} after")
     value = _drop(xp, before, after)
+    if len(before) < 2:
+        value = as_float(value)
+        return Estimate(value, value * np.nan, value * np.nan)
     picks = np.random.default_rng(0).integers(len(before), size=(RESAMPLES, len(before)))
     drops = xp.where(xp.isnan(value), 0.0, _drop(xp, before[picks], after[picks]))
-    unknown = value * (0.0 if len(before) > 1 else np.nan)  # nan if the value is, or of one seed
-    low, high = xp.nanquantile(drops, np.array([0.025, 0.975])) + unknown
+    low, high = xp.nanquantile(drops, np.array([0.025, 0.975])) + 0.0 * value  # nan if the value is
     return Estimate(as_float(value), as_float(low), as_float(high))
 
 
