@@ -1,13 +1,19 @@
-"""The tests between our runs: which runs they pool, their families and verdicts, and successes from uniform starts."""
+"""The tests between our runs: which runs they pool or join, their families and verdicts, and successes from uniform starts."""
 
+import json
 import shutil
 
 import jax
 import numpy as np
 import pytest
 
-from benchmarks.paper import cells, differences, pairs, uniform_starts
+from benchmarks.output import read_csv
+from benchmarks.paper import cells, differences, join, pairs, uniform_starts
+from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import holm, permutation
+from earl_jax.report.tables import csv_text
+from earl_jax.runs.contents import CONFIG, METRICS
+from earl_jax.runs.folder import RunFolder
 from tests.report.run_files import DOOR, constant, write_run
 
 FORMER = {"nearest_fallback": False, "unmet_goals": False}
@@ -148,3 +154,22 @@ def test_uniform_starts_fill_their_square(env):
     obs = np.asarray(jax.vmap(uniform_starts.within(env, 2.5))(jax.random.split(jax.random.key(0), 500)).obs[:, :4])
     assert np.abs(obs).max() <= 2.5
     assert (np.abs(obs).max(axis=0) > 2.4).all()
+
+
+def test_runs_of_other_seeds_are_joined_up_to_the_step_that_all_have(tmp_path):
+    whole = cells.RUNS / "franka_kitchen/fbrl"
+    config, rows = json.loads((whole / CONFIG).read_text()), read_csv(whole / METRICS)
+    for folder, seeds, end in (("a", [8, 9], 4_800_000), ("b", [5, 6, 7], 200_000)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / CONFIG).write_text(json.dumps(config | {"seeds": seeds, "id": folder}))
+        own = [row for row in rows if int(row["seed"]) in seeds and int(row["step"]) <= end]
+        (tmp_path / folder / METRICS).write_text(csv_text(own))
+    join.main(tmp_path / "joined", (tmp_path / "a", tmp_path / "b"))
+    common = (whole / METRICS).read_text().splitlines(keepends=True)[: 1 + 4 * 5]
+    assert (tmp_path / "joined" / METRICS).read_text() == "".join(common)
+    assert RunFolder.open(tmp_path / "joined").config.seeds == (5, 6, 7, 8, 9)
+    (tmp_path / "b" / CONFIG).write_text(json.dumps(config | {"seeds": [5, 6, 7], "eval_every": 10}))
+    with pytest.raises(InputError, match="differ in eval_every"):
+        join.joined([tmp_path / "a", tmp_path / "b"])
+    with pytest.raises(InputError, match="a seed is in two of the runs"):
+        join.joined([tmp_path / "a", tmp_path / "a"])
