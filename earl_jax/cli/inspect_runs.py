@@ -140,8 +140,11 @@ def table(
         out: File that also receives the table: .md, .tex or .csv. By default none.
     """
     from earl_jax.metrics.scores import Window
-    from earl_jax.report.tables import run_table, tabulate, terminal_width, write
+    from earl_jax.report.tables import TABLES, run_table, tabulate, terminal_width, write
+    from earl_jax.runs.files import require_suffix
 
+    if out:
+        require_suffix(out, TABLES, "tables")
     rows = tabulate(folders, Window.of(last, window), metric, tuple(itertools.chain(*labels)))
     if out:
         with replacing(out):
@@ -190,9 +193,12 @@ def compare(
         out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
     """
     from earl_jax.metrics.scores import Window
-    from earl_jax.report.comparison import compare as compare_runs, table_text, write_comparison
+    from earl_jax.report.comparison import FILES, compare as compare_runs, table_text, write_comparison
     from earl_jax.report.tables import terminal_width
+    from earl_jax.runs.files import require_suffix
 
+    for path in out:
+        require_suffix(path, FILES, "comparisons")
     rows = compare_runs(folders, against, metric, Window.of(last, window))
     emit({"rows": rows}, json, table_text(rows, terminal_width()))
     for path in out:

@@ -37,12 +37,13 @@ from earl_jax.report.published import (
 from earl_jax.report.runs import Curves, common_step
 from earl_jax.report.scores import interval_of, seed_scores
 from earl_jax.report.style import PICTURES, grouped, method_title, new_figure, reach, save, task_title
-from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, millions, number_text, write
-from earl_jax.runs.files import RunWarning
+from earl_jax.report.tables import INTERVALS, TABLES, Column, Row, Table, interval_text, millions, number_text, write
+from earl_jax.runs.files import RunWarning, require_suffix
 
 UNTESTED = dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan)
 OTHER_TASK = "not compared: the task is our reconstruction"
-TABLES = (".md", ".tex", ".csv")
+FILES = (*TABLES, *PICTURES)
+"""The suffixes of files that `write_comparison` writes."""
 LETTERS = 36
 """Letters in a line of the name of a difference in a picture."""
 AGES = (0.25, 0.5, 0.75, 1.0)
@@ -238,10 +239,9 @@ def write_comparison(rows: Sequence[Row], path: Path) -> Path:
     Raises:
         ValueError: `path` has another suffix, or matplotlib is not installed.
     """
+    require_suffix(path, FILES, "comparisons")
     if path.suffix in PICTURES:
         return save(_draw(rows), path)
-    if path.suffix not in TABLES:
-        raise InputError(f"{path}: comparisons are written as {', '.join(TABLES + PICTURES)}")
     write(rows, path, _table)
     return path
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from earl_jax.errors import InputError, require_known
+from earl_jax.errors import require_known
 from earl_jax.metrics.comparison import FEWEST_SEEDS
 from earl_jax.metrics.scores import RATES
 from earl_jax.metrics.statistics import Estimate
@@ -31,7 +31,7 @@ from earl_jax.report.style import (
     task_order,
     task_title,
 )
-from earl_jax.runs.files import RunWarning
+from earl_jax.runs.files import RunWarning, require_suffix
 
 RELEASED = {"color": "0.55"}
 """The style of the released runs of the paper."""
@@ -108,8 +108,7 @@ def plot_runs(
             `metric`, or matplotlib is not installed.
     """
     out = Path(out)
-    if out.suffix not in PICTURES:
-        raise InputError(f"{out}: pictures are written as {', '.join(PICTURES)}")
+    require_suffix(out, PICTURES, "pictures")
     require_known("size", size, SIZES)
     require("smooth", smooth, COUNT)
     runs = read_all(folders, check=lambda curves: curves.metrics[metric or curves.deployed_metric])

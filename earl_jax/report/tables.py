@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.scores import DEFAULT, Window
@@ -19,7 +18,7 @@ from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves, checked_labels, labels, options_text
 from earl_jax.report.scores import LEVELS, interval_of, row_of, seed_scores
-from earl_jax.runs.files import written
+from earl_jax.runs.files import require_suffix, written
 
 Row = dict[str, Any]
 Column = tuple[str, Callable[[Row], Any]]
@@ -30,6 +29,8 @@ LATEX = str.maketrans(
     | {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "−": "$-$"}
 )
 """What stands in LaTeX for the letters that have a meaning there."""
+TABLES = (".md", ".tex", ".csv")
+"""The suffixes of files that `write` writes."""
 INTERVALS = (
     "Intervals of 95 % over seeds: Student's, or Wilson's with the effective number of trials for rates; fewer than three seeds "
     "have none."
@@ -176,8 +177,7 @@ def write(rows: Sequence[Row], path: Path, table: Callable[[Sequence[Row]], Tabl
         ".tex": lambda: f"{table(rows).latex()}\n",
         ".csv": lambda: csv_text(rows),
     }
-    if path.suffix not in texts:
-        raise InputError(f"{path}: tables are written as .md, .tex or .csv")
+    require_suffix(path, TABLES, "tables")
     written(path, texts[path.suffix]())
 
 

@@ -6,7 +6,7 @@ import os
 import re
 import stat
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
@@ -45,6 +45,12 @@ def check_folder(path: Path) -> None:
         raise InputError(f"{path} is an address, and runs are written to local folders; choose one and copy it there")
     if path.exists() and not path.is_dir():
         raise InputError(f"{path} exists and is not a folder; choose another folder")
+
+
+def require_suffix(path: Path, suffixes: Collection[str], noun: str) -> None:
+    """Raise an InputError unless the name of `path` ends in one of `suffixes`, as those of the files of `noun` do."""
+    if path.suffix not in suffixes:
+        raise InputError(f"{path}: {noun} are written as {', '.join(suffixes)}")
 
 
 def opened(path: Path, mode: Literal["rb", "wb", "ab"] = "rb") -> BinaryIO:

@@ -135,6 +135,8 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
         (SWEEP, ["nowhere.toml can't be read"]),
         ([*SWEEP, "--launcher", "cloud"], ["cloud", "local", "slurm"]),
         ([*SWEEP, "--launcher", "slurm", "--slurm", "time", "--slurm", "mem=4G"], ["name=value"]),
+        (["compare", ".", "--out", "a.png", "b.docx"], ["b.docx: comparisons are written as .md,"]),
+        (["table", ".", "--out", "a.png"], ["a.png: tables are written as .md,"]),
         (["fly"], ["fly"]),
     ],
 )

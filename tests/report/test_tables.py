@@ -73,7 +73,7 @@ def test_tables_are_written_as_markdown_latex_and_csv(tmp_path):
     assert read_csv(tmp_path / "new/t.csv")[0]["published_continuing"] == "0.012 (0.004)"
     assert "| 0.550 | 50% |" in (tmp_path / "new/t.md").read_text()
     assert r"& 0.550 & 50\%" in (tmp_path / "new/t.tex").read_text()
-    with pytest.raises(ValueError, match=r"\.md, \.tex or \.csv"):
+    with pytest.raises(ValueError, match=r"tables are written as \.md, \.tex, \.csv"):
         tables.write(rows, tmp_path / "t.txt")
 
 
