@@ -12,6 +12,7 @@ from earl_jax.envs.base import Env, NextState, State
 from earl_jax.envs.features import View
 from earl_jax.options.values import Interval, require
 from earl_jax.physics import EngineCost, PendingStep, PhysicsState, Simulator, resolve_engine
+from earl_jax.physics.models import require_unchanged
 
 SUBSTEPS = Interval("[1, 1000]", whole=True)
 
@@ -38,6 +39,7 @@ class MujocoEnv(Env):
         require("substeps", self.substeps, SUBSTEPS)
         if self.engine != "auto":
             resolve_engine(self.engine)
+        require_unchanged(self.model)
 
     @property
     def model(self) -> str:

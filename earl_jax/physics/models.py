@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import io
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,15 @@ REFERENCE = "reference_timestep"
 GROWTH = "armature_growth"
 """A `<numeric>` beside `REFERENCE`: the armature that each of the first joints gains for each second of longer time
 step."""
+_READ: dict[str, tuple[Path, int]] = {}
+"""The file of each compiled model, and when it was last changed."""
+
+
+def require_unchanged(name: str) -> None:
+    """Raise an InputError if the file of the model `name` has changed since this process compiled it."""
+    path, changed = _READ.get(name, (Path(), 0))
+    if path.is_file() and path.stat().st_mtime_ns != changed:  # compiled programs have the first content
+        raise InputError(f"{path} has changed since this process read it: restart it, or save the file by another name")
 
 
 @functools.cache
@@ -36,6 +46,7 @@ def load_model(name: str, timestep: float | None = None) -> Any:
     """
     mujoco: Any = importlib.import_module("mujoco")
     path = assets.mjcf(name)
+    _READ.setdefault(name, (path.absolute(), path.stat().st_mtime_ns))
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compiler.discardvisual = True

@@ -9,6 +9,7 @@ import pytest
 
 from earl_jax import physics
 from earl_jax.envs import make
+from earl_jax.envs.sawyer.door import SawyerDoor
 from earl_jax.errors import InputError
 from earl_jax.rendering.overlays import with_overlay
 from tests.envs.programs import first_state, program
@@ -28,6 +29,16 @@ def test_a_file_that_mujoco_cannot_compile_is_named(body, tmp_path):
     file.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     with pytest.raises(InputError, match=rf"{file} is no model that MuJoCo compiles: .*[Ll]ine.*1"):
         physics.load_model(str(file))
+
+
+def test_a_file_that_changed_after_it_was_compiled_is_refused_instead_of_ignored(tmp_path):
+    file = tmp_path / "mine.xml"
+    file.write_text("<mujoco/>")
+    task = type("Mine", (SawyerDoor,), {"model": str(file)})
+    assert task().simulator.mujoco_model().nbody == 1
+    file.write_text("<mujoco><worldbody><body/></worldbody></mujoco>")
+    with pytest.raises(InputError, match=f"{file} has changed since this process read it"):
+        task()
 
 
 def test_coasters_are_drawn_at_the_goals_and_not_simulated(env):
