@@ -207,6 +207,9 @@ class Env(abc.ABC):
         Its obs is NaN, a fault, if the action is not finite. An engine may replace such an action, as MuJoCo does.
         """
         data, vector, changed = following
+        if new := changed.keys() - state.info.keys():
+            given = f"{', '.join(sorted(new))}, but reset sets {', '.join(state.info)}"
+            raise InputError(f"{self.name}: a step changes info {given} alone")
         after = self.make_state(data, vector, {**state.info, **changed})
         return after.replace(obs=jnp.where(jnp.isfinite(action).all(), after.obs, jnp.nan))
 
