@@ -60,6 +60,12 @@ def random_row(key: jax.Array, table: Any) -> Any:
     return jax.tree.map(lambda values: jnp.asarray(values)[index], table)
 
 
+def stored_key(key: jax.Array) -> jax.Array:
+    """Return `key`, of any kind, as the data of a key of jax's default kind, which `wrap_key_data` takes."""
+    data, default = jax.random.key_data(key), jax.random.key_data(jax.random.key(0))
+    return data if data.shape == default.shape else jax.random.bits(key, default.shape, default.dtype)
+
+
 def all_finite(tree: Any) -> jax.Array:
     """Return whether every floating-point number in `tree` is finite, bool []."""
     leaves = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]

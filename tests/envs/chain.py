@@ -53,4 +53,4 @@ class Chain(KinematicEnv):
         return self.success(obs).astype(jnp.float32) if self.sparse else -jnp.abs(obs[..., 0] - obs[..., 1])
 
     def irreversible(self, state):
-        return super().irreversible(state) | (state.data[0] >= self.cliff)
+        return state.data[0] >= self.cliff

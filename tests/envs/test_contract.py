@@ -120,6 +120,7 @@ def test_a_state_keeps_its_structure_and_an_env_is_a_hashable_constant(env):
 
     example = jnp.zeros(env.action_size), jnp.asarray(env.initial_states[0])
     trees = jax.eval_shape(states, jax.random.key(0), *example)
+    assert jax.eval_shape(env.reset, jax.random.key(0, impl="rbg")) == trees[0]
     described = [jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype, leaf.weak_type), tree) for tree in trees]
     assert all(other == described[0] for other in described)
     state = trees[0]

@@ -17,7 +17,7 @@ from earl_jax import physics
 from earl_jax.envs.features import ContinuingDefaults, Starts
 from earl_jax.envs.kitchen import reward as rewards
 from earl_jax.envs.mujoco_env import MujocoEnv, leashed_target
-from earl_jax.envs.state import NextState, State
+from earl_jax.envs.state import NextState, State, stored_key
 from earl_jax.physics import EngineCost, PhysicsState
 
 REACH = 0.02
@@ -149,7 +149,7 @@ class FrankaKitchen(MujocoEnv):
             mocap_quat=jnp.asarray(HELD_UPRIGHT)[None],
             qacc_warmstart=jnp.append(jnp.array(ARM_WARMSTART, jnp.float32), rest),
         )
-        vector, changed = self._observe(data, jax.random.key_data(noise_key))
+        vector, changed = self._observe(data, stored_key(noise_key))
         sites = rewards.site_positions(rewards.observed(qpos))
         return self.make_state(data, vector, {"goal": goal, "sites": sites, **changed})
 

@@ -17,7 +17,7 @@ from earl_jax import assets
 from earl_jax.envs.base import Env
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import Map, Starts, View
-from earl_jax.envs.state import NextState, State, tree_where
+from earl_jax.envs.state import NextState, State, stored_key, tree_where
 from earl_jax.errors import InputError
 from earl_jax.options.values import within
 from earl_jax.physics import PendingStep
@@ -37,7 +37,7 @@ class HelpBudget(Env):
 
     A last action component above `help_above` requests help. The body does not move and the simulated step is
     discarded. The next state is s' ~ rho, and the budget (h_max at first) falls by `help_cost`. After a step into a
-    state that is irreversible for the task, the environment enforces an intervention: again s' ~ rho, for
+    state that is irreversible for the task, or after a fault, the environment enforces an intervention: s' ~ rho, for
     `enforced_cost`. Both are transitions that an agent learns from, and the goal does not change.
 
     An intervention that would exhaust the budget does not take place. The lifetime ends instead: `done` is 1, the
@@ -126,7 +126,7 @@ class HelpBudget(Env):
             "budget": jnp.asarray(self.budget, jnp.float32),
             "asked": none,
             "enforced": jnp.copy(none),
-            "key": jax.random.key_data(own_key),
+            "key": stored_key(own_key),
         }
         return self._augmented(inner, info)
 
@@ -159,7 +159,7 @@ class HelpBudget(Env):
 
         The budget is computed from the counts, so that rounding does not add up over a long lifetime.
         """
-        enforced = ~asked & self.task.irreversible(moved)
+        enforced = ~asked & (self.task.irreversible(moved) | self.task.fault(moved))
         following, drawn = jax.random.split(jax.random.wrap_key_data(state.info["key"]))
         counts = {"asked": state.info["asked"] + asked, "enforced": state.info["enforced"] + enforced}
         paid = counts["asked"] * self.help_cost + counts["enforced"] * self.enforced_cost
