@@ -234,17 +234,18 @@ def _transition(
     end: StepEnd,
 ) -> Transition:
     """Return the transition that the replay stores for a step to `env_state`; training continues from `following`."""
-    absorbed = env_state.done > 0
+    env, absorbed = problem.env, env_state.done > 0
     flags = TransitionFlags(
         goal=lane.goal_indices.goal,
         reached=end.reached,
         timeout=end.timeout,
         no_successor=end.env_reset,
         absorbed=absorbed,
+        passed=env.sparse & env.success(env_state.obs) & ~(end.reached | end.fault | absorbed),
     )
     effective_horizon = jnp.where(absorbed, 1.0 / (1.0 - method.learner.discount), 1.0)
     reward = jnp.where(end.fault, 0.0, env_state.reward * effective_horizon)
-    return Transition(action, following.obs[: problem.env.state_size], reward, flags)
+    return Transition(action, following.obs[: env.state_size], reward, flags)
 
 
 def _is_sampleable(method: Method, lane: LaneState, end: StepEnd) -> jax.Array:

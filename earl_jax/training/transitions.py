@@ -49,7 +49,7 @@ def attempts(env: Env, replay: Replay, lane: int, steps: int) -> tuple[Demos, np
     first, size = int(replay.first_row), replay.capacity - int(replay.first_row)
     count = min(steps, size - 1) if replay.evicts else steps
     rows = first + (int(replay.row) - first - count + np.arange(count)) % size
-    goal, reached, timeout, reset, absorbed = map(np.asarray, unpack(replay.flags[rows, lane]))
+    goal, reached, timeout, reset, absorbed, _ = map(np.asarray, unpack(replay.flags[rows, lane]))
     before = steps > count and unpack(replay.flags[int(replay.row), lane]).absorbed  # the step that was evicted last
     had_ended = np.append(before, absorbed[:-1])
     goals, states = goal_table(env).table[goal], replay.state[rows, lane]

@@ -139,9 +139,7 @@ def test_naive_by_the_global_clock_times_out_at_multiples_of_its_episode_length(
     np.testing.assert_array_equal(timeouts, np.tile(np.arange(1, 17)[:, None] % 8 == 0, 2))
 
 
-def test_fbrl_has_phases_of_a_fixed_length_or_one_controller_on_request(problem):
-    fixed = make_algo("fbrl", fixed_phases=True)
-    assert not any(phase.ends_on_success for phase in fixed.phases)
+def test_fbrl_has_one_controller_on_request(problem):
     method = tiny_method("fbrl", controllers=1)
     assert demo_rows(problem, method).sampleable(0).size == demo_rows(problem, tiny_method("vaprl")).rows.size
     state = jax.eval_shape(lambda: make_train_state(problem, method, [0, 1]))

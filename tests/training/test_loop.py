@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from earl_jax.algos import SAC, Method
-from earl_jax.algos.method import RETURN
+from earl_jax.algos.learner.replay import sample_own
+from earl_jax.algos.method import RETURN, TASK
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
 from earl_jax.training import loop, scan
@@ -99,6 +100,16 @@ def test_goals_that_the_environment_sets_change_by_the_clock_alone(problem, expe
     assert [len(found) for found in tasks] == [1] * 16, "a task lasts for 100 steps"
     assert len(np.unique(tasks)) > 1
     assert 16 < float(state.lanes.counters.window_reward.sum()) < 80
+
+
+def test_a_phase_of_a_fixed_length_is_rewarded_at_each_step_at_its_goal(problem, expert_acts):
+    state = acted(problem, tiny_method("fbrl", 4, fixed_phases=True), 400)
+    batch = sample_own(state.replay, state.lanes.key, TASK, 500)
+    goals = problem.goals.table[batch.flags.goal]
+    success = problem.env.success(jnp.concatenate([batch.next_state, goals], axis=-1))
+    assert 0.2 < success.mean() < 0.9
+    np.testing.assert_array_equal(batch.reward, success)
+    assert not batch.flags.reached.any()
 
 
 class Recorder(Method):

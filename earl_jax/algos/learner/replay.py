@@ -18,14 +18,15 @@ import jax.numpy as jnp
 from flax import struct
 
 GOAL_BITS = 16
-FLAG_BITS = [1 << (GOAL_BITS + bit) for bit in range(4)]
-"""The bits of `reached`, `timeout`, `no_successor` and `absorbed` in a packed word, above those of the goal."""
+FLAG_BITS = [1 << (GOAL_BITS + bit) for bit in range(5)]
+"""The bits of the flags in a packed word, in their order, above those of the goal."""
 
 
 class TransitionFlags(NamedTuple):
-    """The `goal` index of a transition and its flags: `reached`, `timeout`, `no_successor` and `absorbed`.
+    """The `goal` index of a transition and its flags.
 
-    A transition has no successor if a reset overwrote the next state. It is absorbed if the lifetime has ended.
+    A transition has no successor if a reset overwrote the next state, is absorbed if the lifetime has ended, and has
+    `passed` its goal if the next state meets it in a phase that goes on.
     """
 
     goal: jax.Array
@@ -33,6 +34,7 @@ class TransitionFlags(NamedTuple):
     timeout: jax.Array
     no_successor: jax.Array
     absorbed: jax.Array
+    passed: jax.Array | bool = False
 
 
 class Transition(NamedTuple):
@@ -225,7 +227,8 @@ def _read(replay: Replay, rows: jax.Array) -> TransitionBatch:
     """Return the transitions of `rows [N, B]`."""
     lanes = jnp.arange(len(rows))[:, None]
     flags = unpack(replay.flags[rows, lanes])
-    reward = replay.reward[rows, lanes] if replay.reward.shape[0] else flags.reached.astype(jnp.float32)
+    success = (flags.reached | flags.passed).astype(jnp.float32)
+    reward = replay.reward[rows, lanes] if replay.reward.shape[0] else success
     state, action = replay.state[rows, lanes], replay.action[rows, lanes]
     following = replay.state[replay.successor(rows), lanes]
     return TransitionBatch(rows, state, action, following, reward, flags)
