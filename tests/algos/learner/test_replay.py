@@ -40,10 +40,8 @@ def fill_replay(controllers, valid, buffer=None, first=0):
 def test_unpacking_inverts_packing():
     goals = jnp.array([0, 1, 65535])
     bits = [jnp.array([number & 1, number & 2, number & 4], bool) for number in range(1, 6)]
-    unpacked = replay.unpack(replay.pack(TransitionFlags(goals, *bits)))
-    np.testing.assert_array_equal(unpacked.goal, goals)
-    for actual, expected in zip(unpacked[1:], bits, strict=True):
-        np.testing.assert_array_equal(actual, expected)
+    flags = TransitionFlags(goals, *bits)
+    assert_equal_trees(replay.unpack(replay.pack(flags)), flags)
 
 
 def test_each_controller_samples_its_own_valid_rows():
