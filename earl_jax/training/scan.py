@@ -82,7 +82,10 @@ def _start_ahead(problem: Problem, method: Method, state: TrainState, keys: Step
 
 
 def _draws_ahead() -> bool:
-    """Return whether a step draws the next one's batch; an accelerator, unlike a CPU, does so while it learns."""
+    """Return whether a step draws the next one's batch, which an accelerator does while it still learns from its own.
+
+    A CPU does one thing after the other.
+    """
     return jax.default_backend() != "cpu"
 
 

@@ -1,4 +1,7 @@
-"""Twin delayed deep deterministic policy gradient: a second learner. Each field names its source."""
+"""Twin delayed deep deterministic policy gradient: a second learner, to compare with and to copy from.
+
+Source: Fujimoto, van Hoof and Meger 2018 (TD3, arXiv 1802.09477), algorithm 1; each field names its source.
+"""
 
 from typing import Any, ClassVar
 
