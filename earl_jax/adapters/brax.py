@@ -1,8 +1,6 @@
 """The tasks as brax environments, for brax's wrappers and trainers, and other users of its Env.
 
-Written for brax 0.14.2. On jax 0.10 and later brax's own trainers stop with `AttributeError:
-jax.device_put_replicated`, which jax removed. On jax 0.9.2 its SAC and PPO train through this adapter (docs/adapters.md
-has the commands).
+Written for brax 0.14.2, whose own trainers fail on jax 0.10 and later (docs/adapters.md has the commands).
 """
 
 import dataclasses
@@ -15,7 +13,7 @@ from brax.envs.wrappers import training
 
 from earl_jax.adapters._session import Outputs, Session
 from earl_jax.envs import Env, resolved_engine
-from earl_jax.protocol import ProtocolState
+from earl_jax.protocol import ProtocolState, set_goal
 
 NO_TIME_LIMIT = 2**30
 """More steps than any lifetime has, and exact in float32, in which brax counts steps."""
@@ -35,16 +33,16 @@ def wrap_for_training(
 class ResetFreeEnv(BraxEnv):
     """A task as one lifetime or as episodes, in the modes of `adapters.gymnasium.ResetFreeEnv`.
 
-    `pipeline_state` holds the whole state, so that a wrapper that restores it restores the goal too.
-    brax's `AutoResetWrapper` returns a lane to its very first state: the same start, goal and randomness each time.
-    brax's `EpisodeWrapper` and trainers take raw keys (`jax.random.PRNGKey`) only; `reset` takes typed keys as well.
+    `pipeline_state` holds the whole state, so that brax's `AutoResetWrapper` returns a lane to its very first one: the
+    same start, goal and randomness each time. brax's `EpisodeWrapper` and trainers take raw keys (`jax.random.PRNGKey`)
+    only; `reset` takes typed keys as well.
     """
 
     def __init__(self, task: str | Env, **options: Any):
         """Make the environment of `task`, a name of `list_envs()` or an `Env`.
 
         `options` are `mode` (`train` for one lifetime, `eval` for episodes that brax's `EpisodeWrapper` ends), `setting`,
-        `attempt_steps`, and options of the task.
+        `attempt_steps`, `starts`, and options of the task. `engine="auto"` takes the fastest engine for one lane.
 
         Raises:
             ValueError: an unknown mode, setting, option or name; the message lists the choices.
@@ -64,6 +62,12 @@ class ResetFreeEnv(BraxEnv):
         fields = self._fields(session_state, outputs, previous.counters.interventions)
         fields["metrics"] = {**state.metrics, **fields["metrics"]}
         return dataclasses.replace(state, **fields)
+
+    def set_goal(self, state: BraxState, goal: jax.Array | None = None) -> BraxState:
+        """Return `state` with `goal [g]` or the environment's choice; for lanes, use vmap on `env.unwrapped.set_goal`."""
+        previous: Any = state.pipeline_state
+        session_state = set_goal(self.session.env, previous, goal)
+        return dataclasses.replace(state, pipeline_state=session_state, obs=session_state.obs)
 
     def _fields(self, state: ProtocolState, outputs: Outputs, interventions_before: jax.Array) -> dict[str, Any]:
         """Return the fields of brax's state for a session in `state`; the metrics are those of the last step alone."""

@@ -8,7 +8,7 @@ from brax.envs.wrappers import training
 
 from earl_jax.adapters.brax import ResetFreeEnv, wrap_for_training
 from earl_jax.protocol import Deployment
-from tests.adapters.test_gymnasium import TABLETOP, Fragile
+from tests.adapters.test_gymnasium import STAY, TABLETOP, Fragile
 from tests.conftest import assert_equal_trees
 
 KEY = jax.random.PRNGKey(0)
@@ -72,3 +72,14 @@ def test_braxs_trainers_do_not_truncate_a_lifetime():
         env = wrap_for_training(ResetFreeEnv(TABLETOP, mode=mode), episode_length=3)
         final, _ = rollout(env, jax.random.split(KEY), 3, jnp.tile(MOVE, (2, 1)))
         np.testing.assert_array_equal(final.done, done)
+
+
+def test_a_set_goal_stays_in_each_lane_until_the_choice_is_given_back():
+    env = wrap_for_training(ResetFreeEnv(TABLETOP, attempt_steps=1), episode_length=3)
+    set_goal, state = jax.vmap(env.unwrapped.set_goal), jax.jit(env.reset)(jax.random.split(KEY))
+    state = set_goal(state, state.obs[:, :6])
+    for _ in range(2):
+        state = jax.jit(env.step)(state, jnp.tile(STAY, (2, 1)))
+        np.testing.assert_array_equal(state.reward, 1.0)
+    given_back = set_goal(state)
+    assert (given_back.obs[:, 6:] != state.obs[:, 6:]).any(axis=1).all()
