@@ -128,6 +128,9 @@ def test_numpys_seed_makes_starts_reproducible():
     assert env.seed(5) == [5]
     goals = [env.reset()[6:] for _ in range(8)]
     env.seed(np.int64(5))
+    for seed in (-1, 2**32, 1.5, "x"):
+        with pytest.raises(ValueError, match="seed must"):
+            env.seed(seed)
     np.testing.assert_array_equal(goals, [env.reset()[6:] for _ in range(8)])
 
 

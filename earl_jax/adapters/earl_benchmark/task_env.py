@@ -9,7 +9,7 @@ from earl_jax.adapters._session import jitted
 from earl_jax.adapters.gymnasium import ResetFreeEnv
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
-from earl_jax.options.values import LARGEST_INT
+from earl_jax.options.values import LARGEST_INT, SEED, require
 
 
 class TaskEnv:
@@ -83,8 +83,14 @@ class TaskEnv:
         return value if value.ndim else value.item()
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seed the next reset with `seed`, or from numpy's global generator; return the seed in a list."""
-        self._seed = int(np.random.randint(2**31) if seed is None else seed)
+        """Seed the next reset with `seed`, or from numpy's global generator; return the seed in a list.
+
+        Raises:
+            ValueError: the seed is not a whole number from 0 to 2^32 - 1.
+        """
+        seed = np.random.randint(2**31) if seed is None else seed
+        require("seed", seed, SEED)
+        self._seed = int(seed)
         return [self._seed]
 
     def render(self, mode: str = "rgb_array") -> np.ndarray | None:
