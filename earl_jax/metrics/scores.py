@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.errors import InputError, brief
+from earl_jax.errors import InputError, brief, require_known
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
@@ -140,6 +140,7 @@ class Scores(NamedTuple):
 
 def lifetime_scores(steps: Any, metrics: dict[str, Any], metric: str) -> Scores:
     """Return the scores of lives evaluated at `steps [E]`, from `metrics` [..., E]; `metric` names the deployed one."""
+    require_known("metric", metric, metrics)
     scores = metrics[metric]
     return Scores(scores[..., -1], deployed_area(steps, scores), metrics["continuing/reward"][..., -1])
 

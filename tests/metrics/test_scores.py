@@ -29,6 +29,8 @@ def test_a_lifetime_has_three_scores_and_its_area_weights_an_evaluation_by_the_s
     assert scores.final.tolist() == [0.5, 0.3]
     assert scores.deployed == pytest.approx([2 / 3, 0.2])
     assert scores.continuing.tolist() == [0.2, 0.4]
+    with pytest.raises(ValueError, match="unknown metric 'success'"):
+        lifetime_scores(STEPS, metrics, "success")
 
 
 @pytest.mark.parametrize(
