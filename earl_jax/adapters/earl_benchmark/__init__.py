@@ -31,7 +31,9 @@ class EARLEnvs:
     """A train and an eval env of one task, with its goals, initial states and demonstrations.
 
     Without a `reward_type` the task's own is used: sparse for tabletop, door and peg as in the original, dense for the
-    others. Randomness comes from numpy's global generator at construction, so that `np.random.seed` in a script works.
+    others (in the original, the kitchen refuses `sparse`, which is the default, and the Minitaur ignores it).
+    Randomness comes from numpy's global generator at construction, so that `np.random.seed` in a script works as
+    before.
     """
 
     def __init__(
