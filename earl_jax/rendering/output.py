@@ -2,6 +2,7 @@
 
 import functools
 import io
+import itertools
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -53,8 +54,9 @@ def _write_animation(path: Path, images: Iterable[np.ndarray], fps: float) -> Pa
         options, unit = {"format": "GIF", "optimize": True}, 10
     film = io.BytesIO()
     first, *rest = pictures
-    duration = unit * max(1, round(1000 / fps / unit))
-    first.save(film, save_all=True, append_images=rest, duration=duration, loop=0, **options)
+    times = [round(1000 / fps / unit * number) for number in range(len(rest) + 2)]
+    durations = [unit * max(1, until - since) for since, until in itertools.pairwise(times)]
+    first.save(film, save_all=True, append_images=rest, duration=durations, loop=0, **options)
     return written(path, film.getvalue())
 
 
