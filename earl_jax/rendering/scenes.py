@@ -151,14 +151,13 @@ def _renderer(mujoco: Any, model: Any, size: tuple[int, int]) -> Any:
 
 
 def _drawing_mujoco() -> Any:
-    """Return the module `mujoco`, able to draw: on Linux without a display, through the first of `BACKENDS` that works.
+    """Return the module `mujoco`, able to draw: on Linux by `MUJOCO_GL`, or else through `working_backend`.
 
     Raises:
         ValueError: no backend works, or not that of `MUJOCO_GL`; the message says what to install.
     """
-    has_display = any(os.environ.get(name) for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"))
-    if platform.system() == "Linux" and not has_display:
-        os.environ["MUJOCO_GL"] = headless_backend()
+    if platform.system() == "Linux" and not os.environ.get("MUJOCO_GL"):
+        os.environ["MUJOCO_GL"] = working_backend()
         if "mujoco" in sys.modules:  # mujoco chose its backend when it was imported
             renderer: Any = sys.modules[sys.modules["mujoco"].Renderer.__module__]
             importlib.reload(renderer.gl_context)
@@ -173,8 +172,8 @@ def _no_graphics(error: Exception) -> InputError:
 
 
 @functools.cache
-def headless_backend() -> str:
-    """Return the first of `BACKENDS` that draws here.
+def working_backend() -> str:
+    """Return the first of `BACKENDS` that draws here, or else that of a display, which a lost connection still names.
 
     Each is tried in a process of its own, because a process cannot recover from a failed one.
 
@@ -185,4 +184,6 @@ def headless_backend() -> str:
         environment = {**os.environ, "MUJOCO_GL": backend}
         if not subprocess.run([sys.executable, "-c", PROBE], env=environment, capture_output=True).returncode:
             return backend
+    if any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        return "glfw"
     raise InputError(NO_GRAPHICS)

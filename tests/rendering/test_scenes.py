@@ -70,19 +70,18 @@ def test_a_backend_that_the_machine_lacks_is_named(monkeypatch, env):
 
 
 def test_the_first_working_backend_is_chosen(monkeypatch):
-    def install(*backends):
-        scenes.headless_backend.cache_clear()
-
+    def chosen(*backends):
         def run(command, env, **_):
             return types.SimpleNamespace(returncode=int(env["MUJOCO_GL"] not in backends))
 
         monkeypatch.setattr(scenes.subprocess, "run", run)
+        return scenes.working_backend.__wrapped__()
 
-    install("egl", "osmesa")
-    assert scenes.headless_backend() == "egl"
-    install("osmesa")
-    assert scenes.headless_backend() == "osmesa"
-    install()
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setenv("DISPLAY", "localhost:10.0")
+    assert chosen("egl", "osmesa") == "egl"
+    assert chosen("osmesa") == "osmesa"
+    assert chosen() == "glfw"
+    monkeypatch.delenv("DISPLAY")
     with pytest.raises(ValueError, match="apt-get install libegl1"):
-        scenes.headless_backend()
-    scenes.headless_backend.cache_clear()
+        chosen()
