@@ -62,7 +62,7 @@ def render(
             given a policy, a camera or steps, or a life is asked for of demonstrations or on a sheet.
     """
     path = output_path(source, out)
-    size = SIZES[path.suffix] if size is None else size
+    size = checked_size(SIZES[path.suffix] if size is None else size)
     _check(path, size, life, steps, fps)
     if str(source) == ALL:
         for name, value in (("policy", policy), ("camera", camera), ("number of steps", steps)):
@@ -94,7 +94,7 @@ def _check(path: Path, size: tuple[int, int], life: bool, steps: int | None, fps
     for name, value, interval in (("steps", steps, COUNT), ("fps", fps, FPS)):
         if value is not None:
             require(name, value, interval)
-    height, width = checked_size(size)
+    height, width = size
     if path.suffix == ".mp4" and (height % 2 or width % 2):
         raise InputError(f"a video needs an even height and width, not {height} and {width}")
     if life and path.suffix == ".png":

@@ -70,7 +70,7 @@ def test_demonstrations_that_cannot_be_read_are_named(tmp_path):
 
 
 def test_fps_makes_a_video_skip_steps(graphics, tmp_path):
-    path = render(TASK, tmp_path / "x.mp4", acting="random", steps=8, size=SMALL, fps=7)
+    path = render(TASK, tmp_path / "x.mp4", acting="random", steps=8, size=[*SMALL], fps=7)
     metadata, frames = read_video(path)
     assert (len(frames), frames[0].shape, metadata["fps"]) == (5, (*SMALL, 3), 5)
     assert frames[0].std() > 10
