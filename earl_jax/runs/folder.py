@@ -224,7 +224,7 @@ def _require_free(path: Path, overwrite: bool) -> None:
     if in_the_way and (path / CONFIG).is_file():
         raise InputError(
             f"{path} holds another run; choose another folder, continue it with: {resume_command(path)}, "
-            "or replace it with: earl-jax train --overwrite"
+            "or replace it with --overwrite (in Python, overwrite=True)"
         )
     unknown = contents.unknown_entries(path)
     if unknown or in_the_way:

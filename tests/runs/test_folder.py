@@ -171,7 +171,7 @@ def test_a_folder_without_results_is_used_by_the_next_run(folder, state, capsys)
 @pytest.mark.parametrize("state", RESULTS)
 def test_a_folder_with_results_is_replaced_only_on_request(folder, state, capsys):
     RESULTS[state](folder)
-    refusal = r"holds another run; choose another folder, continue it .* --overwrite"
+    refusal = r"holds another run; choose another folder, continue it .* --overwrite .in Python, overwrite=True.$"
     with unchanged(folder.path), pytest.raises(ValueError, match=refusal):
         create(folder)
     assert RunFolder.open(create(folder, overwrite=True).path).config.seeds == (1, 2, 3)
