@@ -83,7 +83,7 @@ def export(
     source: Positional[str],
     dataset: str | None = None,
     seed: int | None = None,
-    direction: Literal["forward", "backward"] = "forward",
+    direction: Literal["forward", "backward"] | None = None,
 ) -> None:
     """Write a run's replay, or the demonstrations of a task, as a Minari dataset.
 
@@ -91,7 +91,7 @@ def export(
         source: Run folder with a checkpoint, or task.
         dataset: Name of the new dataset. By default earl_jax/TASK/METHOD-seed-SEED-v0, or earl_jax/TASK/DIRECTION-v0.
         seed: Seed of the run whose life is exported. By default the run's first.
-        direction: Direction of the demonstrations.
+        direction: Direction of the demonstrations of a task. By default forward.
     """
     from earl_jax.adapters import minari
     from earl_jax.rendering.actors import is_run
@@ -99,12 +99,16 @@ def export(
     from earl_jax.training import load_transitions
 
     if is_run(source):
+        if direction is not None:
+            raise InputError(f"{source} is a run, whose life is exported whole: leave out --direction")
         config = RunFolder.open(Path(source)).config
         seed = config.seeds[0] if seed is None else seed
         env, transitions, terminal = load_transitions(source, seed)
         name = dataset or f"earl_jax/{config.env}/{config.algo}-seed-{seed}-v0"
         written = minari.write(name, env, transitions, terminal, config.algo, f"The life of seed {seed} in {source}")
     else:
-        written = minari.demonstrations(source, direction, dataset)
+        if seed is not None:
+            raise InputError(f"{source} is no run, and demonstrations have no seed: leave out --seed")
+        written = minari.demonstrations(source, direction or "forward", dataset)
     spec = written.spec
     print(f"{spec.dataset_id}: {spec.total_episodes} episodes, {spec.total_steps} steps, in {spec.data_path}")
