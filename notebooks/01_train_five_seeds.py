@@ -43,7 +43,7 @@ from earl_jax.report.plots import plot_runs
 
 # %% tags=["parameters"]
 TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # the tests run this page with tiny numbers
-SEEDS = 5
+SEEDS = 1 if TINY else 5
 STEPS, EVERY = (200, 100) if TINY else (150_000, 10_000)
 OPTIONS = {**PRESETS["quick"].options, "random_steps": min(1000, EVERY)}
 RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to keep the runs
@@ -129,7 +129,7 @@ home.
 """
 
 # %%
-figure, axes = plt.subplots(1, SEEDS, figsize=(2.3 * SEEDS, 2.6), sharey=True, layout="constrained")
+figure, [axes] = plt.subplots(1, SEEDS, figsize=(2.3 * SEEDS, 2.6), sharey=True, squeeze=False, layout="constrained")
 for seed, axis in zip(range(SEEDS), axes, strict=True):
     visits = np.asarray(earl_jax.select_seed(result.train_state, seed).visits)
     axis.imshow(np.log1p(visits.T), origin="lower", extent=(-LIMIT, LIMIT, -LIMIT, LIMIT), cmap="magma")

@@ -44,7 +44,7 @@ from earl_jax.report.tables import run_table, tabulate
 
 # %% tags=["parameters"]
 TINY = os.environ.get("EARL_JAX_NOTEBOOK") == "tiny"  # the tests run this page with tiny numbers
-METHODS = ["fbrl", "naive"]
+METHODS = ["fbrl", "naive"]  # two; `earl-jax compare` tests every pair of more
 SEEDS = 5
 STEPS, EVERY = (200, 100) if TINY else (100_000, 5_000)
 OPTIONS = {**PRESETS["quick"].options, "random_steps": min(1000, EVERY)}
