@@ -12,7 +12,7 @@ from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, Interval, require
 from earl_jax.rendering.actors import actor_of, is_run
-from earl_jax.rendering.output import library, write_film, write_sheet
+from earl_jax.rendering.output import SUPERSAMPLING, library, write_film, write_sheet
 from earl_jax.rendering.scenes import Scene, checked_size
 from earl_jax.rendering.shots import MOMENTS, frames, moments, portraits
 
@@ -64,17 +64,18 @@ def render(
     path = output_path(source, out)
     size = checked_size(SIZES[path.suffix] if size is None else size)
     _check(path, size, life, steps, fps)
+    large = SUPERSAMPLING * size[0], SUPERSAMPLING * size[1]
     if str(source) == ALL:
         for name, value in (("policy", policy), ("camera", camera), ("number of steps", steps)):
             if value is not None:
                 raise InputError(f"a {name} belongs to one task: name the task instead of {ALL}")
         actors = [actor_of(name, acting, seed) for name in PAPER_TASKS]
-        return write_sheet(path, _tracked(portraits(actors, size), len(actors), progress), columns=3)
+        return write_sheet(path, _tracked(portraits(actors, large), len(actors), progress), columns=3)
     actor = actor_of(source, acting, seed, policy)
     if life and actor.acting == "demos":
         raise InputError("demonstrations begin where they were recorded, so they are not a life: choose another acting")
     if path.suffix == ".png":
-        return write_sheet(path, _tracked(moments(actor, size, camera, steps), MOMENTS, progress), columns=MOMENTS)
+        return write_sheet(path, _tracked(moments(actor, large, camera, steps), MOMENTS, progress), columns=MOMENTS)
     with Scene(actor.env, size, camera) as scene:
         states, rate = frames(actor, steps, fps or RATES[path.suffix], life)
         return write_film(path, map(scene.image, _tracked(states, len(states), progress)), rate, size)
@@ -94,9 +95,8 @@ def _check(path: Path, size: tuple[int, int], life: bool, steps: int | None, fps
     for name, value, interval in (("steps", steps, COUNT), ("fps", fps, FPS)):
         if value is not None:
             require(name, value, interval)
-    height, width = size
-    if path.suffix == ".mp4" and (height % 2 or width % 2):
-        raise InputError(f"a video needs an even height and width, not {height} and {width}")
+    if path.suffix == ".mp4" and any(length % 2 for length in size):
+        raise InputError(f"a video needs an even height and width, not {size[0]} and {size[1]}")
     if life and path.suffix == ".png":
         raise InputError("a life is a film, not a sheet: choose .mp4, .gif or .webp")
     library("mediapy" if path.suffix == ".mp4" else "PIL")

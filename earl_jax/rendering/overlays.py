@@ -65,8 +65,7 @@ def merge(model: ET.Element, overlay: ET.Element) -> ET.Element:
     Raises:
         ValueError: the model has no body of that name.
     """
-    model = copy.deepcopy(model)
-    overlay = copy.deepcopy(overlay)
+    model, overlay = copy.deepcopy((model, overlay))
     _scale_meshes(overlay)
     _aim_cameras(overlay)
     for parent in model.iter():

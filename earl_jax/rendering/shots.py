@@ -7,7 +7,7 @@ import numpy as np
 
 from earl_jax.envs import State
 from earl_jax.rendering.actors import Actor, episodes
-from earl_jax.rendering.output import SUPERSAMPLING, Shot
+from earl_jax.rendering.output import Shot
 from earl_jax.rendering.scenes import Scene, view_of
 
 DEFAULT_SECONDS = 10.0
@@ -40,12 +40,12 @@ def frames(actor: Actor, steps: int | None, fps: float, life: bool) -> tuple[lis
 
 
 def moments(actor: Actor, size: tuple[int, int], camera: str | None, steps: int | None) -> Iterator[Shot]:
-    """Yield six moments with their captions; `size` is height and width on the sheet.
+    """Yield six moments with their captions; `size` is height and width of an image.
 
     They show one episode up to its goal or `steps`; for random actions they show step 40, or `steps`, of six episodes.
     """
     upcoming = episodes(actor)
-    with Scene(actor.env, _supersampled(size), camera) as scene:
+    with Scene(actor.env, size, camera) as scene:
         if actor.acting == "random":
             shown = [(next(upcoming), steps or RANDOM_STEP, f"start {number}, ") for number in range(1, MOMENTS + 1)]
         else:
@@ -59,14 +59,9 @@ def moments(actor: Actor, size: tuple[int, int], camera: str | None, steps: int 
 
 
 def portraits(actors: Iterable[Actor], size: tuple[int, int]) -> Iterator[Shot]:
-    """Yield one moment of each of `actors`, captioned with the task's name; `size` is height and width on the sheet."""
+    """Yield one moment of each of `actors`, captioned with the task's name; `size` is height and width of an image."""
     for actor in actors:
-        with Scene(actor.env, _supersampled(size)) as scene:
+        with Scene(actor.env, size) as scene:
             episode = next(episodes(actor))
             step = RANDOM_STEP if actor.acting == "random" else round(PORTRAIT_SHARE * episode.last)
             yield scene.image(episode.at(step)), actor.env.name
-
-
-def _supersampled(size: tuple[int, int]) -> tuple[int, int]:
-    height, width = size
-    return SUPERSAMPLING * height, SUPERSAMPLING * width
