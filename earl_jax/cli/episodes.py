@@ -13,7 +13,7 @@ def render(
     source: Positional[str],
     out: Path | None = None,
     acting: Literal["policy", "expert", "demos", "random"] | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     steps: int | None = None,
     size: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="HEIGHT WIDTH")] = None,
     fps: float | None = None,
@@ -28,7 +28,8 @@ def render(
         out: File to write: .mp4, .gif, .webp, or .png for a sheet of six moments. By default video.mp4 in a run folder, or
             TASK.mp4.
         acting: Source of the actions. By default the newest policy of a run, or the best that the task has.
-        seed: Random seed of the starts and goals. For a run folder also the lane of the policy.
+        seed: Random seed of the starts and goals. Of a run, the one of its seeds whose policy acts. By default 0, or the
+            first of a run.
         steps: Total number of control steps. By default ten seconds, or one episode for a sheet.
         size: Height and width of a frame, or of one moment of a sheet. By default as the format has.
         fps: Largest number of frames per second. By default 25, or 12.5 for a .gif or .webp.

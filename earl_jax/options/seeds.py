@@ -38,6 +38,13 @@ def seed_list(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
     return whole
 
 
+def lane_of(seed: Any, seeds: Sequence[int], where: str) -> int:
+    """Return the lane of `seed`, or the first one for None; an InputError with the `seeds` says that it is not `where`."""
+    if seed is not None and seed not in seeds:
+        raise InputError(f"no seed {brief(seed)} {where}; choose from {', '.join(map(str, seeds))}")
+    return 0 if seed is None else seeds.index(seed)
+
+
 def _whole(seed: Any) -> int:
     if isinstance(seed, bool):
         raise TypeError

@@ -13,6 +13,7 @@ import numpy as np
 from earl_jax import assets
 from earl_jax.envs import Env, State, TaskDemos, chosen_engine, list_envs, make, with_engine
 from earl_jax.errors import InputError, require_known
+from earl_jax.options.seeds import lane_of
 from earl_jax.options.values import SEED, require
 from earl_jax.rendering.scenes import view_of
 from earl_jax.runs.folder import RunFolder
@@ -56,12 +57,15 @@ class Actor(NamedTuple):
     act: Callable[[jax.Array], jax.Array] | None = None
 
 
-def actor_of(source: str | Path, acting: str | None = None, seed: int = 0, method: str | None = None) -> Actor:
+def actor_of(
+    source: str | Path, acting: str | None = None, seed: int | None = None, method: str | None = None
+) -> Actor:
     """Return the actor of `source`, a run folder or a task; physics runs on the C engine. Errors as `render`.
 
     `method` names a trained policy of a task that ships with the package.
     """
-    require("seed", seed, SEED)
+    if seed is not None:
+        require("seed", seed, SEED)
     if acting is not None:
         require_known("acting", acting, ACTINGS)
     if not is_run(source) and str(source) not in list_envs():
@@ -69,7 +73,7 @@ def actor_of(source: str | Path, acting: str | None = None, seed: int = 0, metho
     if method is not None and acting not in (None, "policy"):
         raise InputError(f"the policy {method!r} and acting {acting!r} exclude each other: leave out one")
     env, policy = _env_and_policy(source, seed, method)
-    actors = _actors(env if chosen_engine(env) == "kinematic" else with_engine(env, "c"), policy, seed)
+    actors = _actors(env if chosen_engine(env) == "kinematic" else with_engine(env, "c"), policy, seed or 0)
     chosen = acting or next(iter(actors))
     if chosen not in actors:
         raise InputError(f"{source} has no acting {acting!r}; choose from {', '.join(actors)}")
@@ -81,7 +85,7 @@ def is_run(source: str | Path) -> bool:
     return (Path(str(source)) / "config.json").is_file()
 
 
-def _env_and_policy(source: str | Path, seed: int, method: str | None) -> tuple[Env, Policy | None]:
+def _env_and_policy(source: str | Path, seed: int | None, method: str | None) -> tuple[Env, Policy | None]:
     """Return the environment of `source` and its policy: of a run, or of a `method` that ships; None without either."""
     if not is_run(source):
         if method is None:
@@ -90,10 +94,8 @@ def _env_and_policy(source: str | Path, seed: int, method: str | None) -> tuple[
     if method is not None:
         raise InputError(f"{source} is a run folder, whose own policy acts: leave out the method {method!r}")
     run = RunFolder.open(Path(source))
-    try:
-        return run.config.build_task(), select_seed(load_policies(run), seed)
-    except IndexError as error:
-        raise InputError(f"{source}: {error}") from error
+    lane = lane_of(seed, run.config.seeds, f"in {source}")
+    return run.config.build_task(), select_seed(load_policies(run), lane)
 
 
 def _actors(env: Env, policy: Policy | None, seed: int) -> dict[str, Actor]:

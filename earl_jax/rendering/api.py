@@ -30,7 +30,7 @@ def render(
     source: str | Path,
     out: str | Path | None = None,
     acting: str | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     steps: int | None = None,
     size: tuple[int, int] | None = None,
     fps: float | None = None,
@@ -46,7 +46,7 @@ def render(
         out: .mp4, .gif, .webp, or .png for a sheet of six moments; by default `video.mp4` in a run folder, else `TASK.mp4`, or
             `all.png`.
         acting: one of `ACTINGS`; by default the policy of a run, else the first one that the task has.
-        seed: seed of starts and goals; in a run folder also the lane whose policy acts.
+        seed: seed of starts and goals, by default 0; of a run, one of its seeds, whose policy acts, by default the first.
         steps: total number of control steps; by default ten seconds, on a sheet at most one episode.
         size: height and width of a frame, or of one moment of a sheet.
         fps: largest number of frames a second; the exact number follows from the task's control step.

@@ -21,6 +21,7 @@ from earl_jax.envs import Env, without_budget
 from earl_jax.envs.checks import require_result
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
+from earl_jax.options.seeds import lane_of
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.numpy_policy import FULL_BUDGET, NumpyPolicy
 from earl_jax.training.state import LaneState
@@ -111,10 +112,7 @@ def pretrained(task: str, method: str, seed: int | None = None) -> Policy:
         ValueError: no such policy ships; the message lists the choices.
     """
     info, arrays = assets.pretrained(task, method)
-    seeds = info["seeds"]
-    if seed is not None and seed not in seeds:
-        raise InputError(f"no seed {seed!r} of {method} on {task} ships; choose from {', '.join(map(str, seeds))}")
-    lane = 0 if seed is None else seeds.index(seed)
+    lane = lane_of(seed, info["seeds"], f"of {method} on {task} ships")
     config = RunConfig.from_stored(info["config"])
     actor = actor_of_arrays({name: array[lane] for name, array in arrays.items()})
     return Policy.of_actor(config.build_env(), learner_of(config.options), actor)

@@ -15,6 +15,7 @@ from earl_jax.algos import Method
 from earl_jax.envs import Env
 from earl_jax.errors import InputError, printable, require_known
 from earl_jax.metrics.scores import DEFAULT, Score, Scores, Window, lifetime_scores
+from earl_jax.options.seeds import lane_of
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
@@ -112,9 +113,7 @@ class Result:
             IndexError: there is no such lane.
             ValueError: there is no such seed, or as `policies`.
         """
-        if seed is not None and seed not in self.seeds:
-            raise InputError(f"no seed {seed!r} in this run; choose from {', '.join(map(str, self.seeds))}")
-        return select_seed(self.policies, lane if seed is None else self.seeds.index(seed))
+        return select_seed(self.policies, lane if seed is None else lane_of(seed, self.seeds, "in this run"))
 
     def frame(self) -> Any:
         """Return the metrics as a pandas DataFrame with the rows of metrics.csv: `step`, `seed`, and each metric.

@@ -10,6 +10,7 @@ from earl_jax.algos.learner.replay import Replay, unpack
 from earl_jax.assets import Demos
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
+from earl_jax.options.seeds import lane_of
 from earl_jax.runs.checkpoint import restore
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.loading import shapes_of
@@ -28,14 +29,12 @@ def load_transitions(folder: str | Path, seed: int) -> tuple[Env, Demos, np.ndar
         ValueError: `folder` is not a run folder, or has no such seed or no intact checkpoint, or no transition is left.
     """
     opened = RunFolder.open(Path(folder))
-    seeds = list(opened.config.seeds)
-    if seed not in seeds:
-        raise InputError(f"{folder} has no seed {seed}; choose from {', '.join(map(str, seeds))}")
+    lane = lane_of(seed, opened.config.seeds, f"in {folder}")
     env, _, shapes = shapes_of(opened, opened.config.steps)
     state = restore(opened.checkpoints, shapes)
     if state is None:
         raise InputError(f"{folder} has no checkpoint, which holds the replay")
-    transitions, terminal = attempts(env, state.replay, seeds.index(seed), int(state.step))
+    transitions, terminal = attempts(env, state.replay, lane, int(state.step))
     if not len(terminal):
         raise InputError(
             f"{folder} has no transition of seed {seed}: its life ended before those that the replay still has, or an "

@@ -94,7 +94,7 @@ def test_export_writes_the_life_of_a_seed_as_a_minari_dataset(finished, tmp_path
     for part, states in ((slice(-1), steps.states), (slice(1, None), steps.next_states)):
         obs = np.concatenate([episode.observations[part] for episode in loaded])
         np.testing.assert_array_equal(obs, np.concatenate([states, steps.goals], axis=1))
-    one_line(run("export", finished[0], "--seed", "5"), "has no seed 5; choose from 0, 1")
+    one_line(run("export", finished[0], "--seed", "5"), f"no seed 5 in {finished[0]}; choose from 0, 1")
     one_line(run("export", finished[0], "--direction", "forward"), "leave out --direction")
     one_line(run("export", TASK, "--seed", "1"), "leave out --seed")
 
