@@ -187,10 +187,13 @@ FUNCTIONS = frozenset({"init", "pretrain", "act", "ends_phase", "next_goal", "pr
 
 
 def check_method(method: Method) -> None:
-    """Raise an InputError if the learner of `method` is none, or an option of either is outside its interval or choices."""
-    require_object("learner", method.learner, Learner, or_name=False)
-    for options in (method, method.learner):
+    """Raise an InputError if the learner of `method` is none, or an option of either is invalid or has no effect."""
+    learner = method.learner
+    require_object("learner", learner, Learner, or_name=False)
+    for options in (method, learner):
         check_intervals(method.name, options)
+    if learner.cloning is None and learner.cloning_final is not None:
+        raise InputError(f"{method.name}: cloning_final has no effect without cloning; give both or neither")
 
 
 def controller_count(method: Method) -> int:

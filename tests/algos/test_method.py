@@ -3,7 +3,7 @@
 import pytest
 
 from earl_jax.algos import Method, Phase, list_algos, make_algo
-from earl_jax.algos.method import FORWARD, FUNCTIONS
+from earl_jax.algos.method import FORWARD, FUNCTIONS, check_method
 from earl_jax.errors import InputError
 
 
@@ -29,6 +29,12 @@ def test_the_demonstrations_of_a_phase_are_a_tuple(demos):
 def test_the_numbers_of_a_phase_are_checked(number):
     with pytest.raises(InputError, match=f"the {next(iter(number))} of a Phase must"):
         Phase(**number)
+
+
+def test_a_schedule_of_cloning_without_cloning_is_refused():
+    check_method(make_algo("naive", cloning=0, cloning_final=0.5))
+    with pytest.raises(InputError, match="naive: cloning_final has no effect without cloning"):
+        check_method(make_algo("naive", cloning_final=0.5))
 
 
 def test_a_method_has_at_most_eight_functions_and_each_is_overridden_by_two():
