@@ -11,6 +11,7 @@ from earl_jax.algos.learner.base import Learner
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.method import Moment
 from earl_jax.envs import Env
+from earl_jax.errors import InputError
 from earl_jax.options.values import within
 
 
@@ -49,6 +50,10 @@ class RISC(FBRL):
     """Number of actions over which p is averaged (released)."""
 
     name: ClassVar[str] = "risc"
+
+    def __post_init__(self):
+        if self.switching and self.fixed_phases:
+            raise InputError("fixed_phases is for phases that no switch ends early; add switching=false")
 
     @property
     def entropy_free_pairs(self) -> int:
