@@ -97,12 +97,15 @@ def preset_learner(method: type[Method], learner: type[Learner]) -> Learner:
 
 
 def method_for(env: Env, name: str, **options) -> Method:
-    """Return `make_algo(name, **options)`, by default with the reward scale of `env`.
+    """Return `make_algo(name, **options)`, with the reward scale of `env` unless it or a learner object has another one.
 
     Raises:
         ValueError: as `make_algo`.
     """
-    return make_algo(name, **{"reward_scale": env.reward_scale, **options})
+    learner = options.get("learner")
+    if not isinstance(learner, Learner) or np.all(learner.reward_scale == type(learner).reward_scale):
+        options.setdefault("reward_scale", env.reward_scale)
+    return make_algo(name, **options)
 
 
 def _leaf(field: dataclasses.Field, value: Any) -> Any:

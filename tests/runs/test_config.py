@@ -72,6 +72,7 @@ def test_the_reward_type_chooses_reward_scale_and_deployed_metric():
     assert earl_jax.method_for(sparse, "naive").learner.reward_scale == 10.0
     assert earl_jax.method_for(dense, "naive").learner.reward_scale == dense.reward_scale == 1.0
     assert earl_jax.method_for(dense, "naive", reward_scale=10.0).learner.reward_scale == 10.0
+    assert earl_jax.method_for(sparse, "naive", learner=earl_jax.SAC(reward_scale=1.0)).learner.reward_scale == 1.0
     for env, metric in ((sparse, "deployed/success"), (dense, "deployed/return")):
         config = make_config(env, earl_jax.method_for(env, "naive"))
         assert config.deployed_metric == metric
