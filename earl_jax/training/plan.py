@@ -3,11 +3,13 @@
 import dataclasses
 import math
 import warnings
-from collections.abc import Hashable, Sequence
-from typing import TypeVar
+from collections.abc import Hashable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jax.sharding import Mesh
 
 from earl_jax.algos import Method
@@ -16,6 +18,7 @@ from earl_jax.errors import InputError, brief
 from earl_jax.options.schedule import require_whole_windows
 from earl_jax.runs.files import RunWarning
 from earl_jax.training import memory
+from earl_jax.training.demos import demo_rows
 from earl_jax.training.devices import lane_mesh
 from earl_jax.training.state import Problem
 
@@ -57,7 +60,8 @@ class Plan:
 def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
     """Return the plan of a program with `lanes` lanes on `devices` devices, as in `lane_mesh`.
 
-    A `RunWarning` says so if the method learns in none of the `steps`, or if the chunks make its refreshes more frequent.
+    A `RunWarning` says so if the method learns in none of the `steps`, if the chunks make its refreshes more frequent, or
+    if options for demonstrations have no effect.
 
     Raises:
         ValueError: `steps` is no multiple of the protocol's `eval_every`, a task lacks the demonstrations that a method
@@ -68,25 +72,33 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
     random = method.learner.random_steps
     common = math.gcd(random, every)
     chunk = max(size for size in range(1, min(common, LONGEST_CHUNK) + 1) if common % size == 0)
-    surprise = _surprise(method, steps, every, chunk)
-    if surprise:
+    for surprise in _surprises(problem, method, steps, chunk):
         warnings.warn(surprise, RunWarning, stacklevel=2)
     mesh, need = lane_mesh(devices, lanes), memory.estimate(problem, method, lanes, steps)
     memory.require(need, mesh)
     return Plan(problem, lanes, steps, chunk_steps=chunk, random_steps=random, mesh=mesh, memory=need)
 
 
-def _surprise(method: Method, steps: int, every: int, chunk: int) -> str | None:
-    """Return what a user may not expect of a run of `steps` steps, evaluated `every` so many, in chunks of `chunk` steps."""
-    random, refresh = method.learner.random_steps, method.refresh_every
+def _surprises(problem: Problem, method: Method, steps: int, chunk: int) -> Iterator[str]:
+    """Yield what a user may not expect of a run of `steps` steps, in chunks of `chunk` steps."""
+    learner, every, refresh = method.learner, problem.protocol.eval_every, method.refresh_every
+    random = learner.random_steps
     if random >= steps:
-        return f"nothing is learnt: random_steps is {random:,}, and the run has {steps:,} steps"
-    if refresh and chunk % refresh:
-        return (
+        yield f"nothing is learnt: random_steps is {random:,}, and the run has {steps:,} steps"
+    elif refresh and chunk % refresh:
+        yield (
             f"{method.name} refreshes every {math.gcd(chunk, refresh):,} steps, not every {refresh:,}: refresh_every does not "
             f"divide the {chunk:,} steps of a chunk, which divide random_steps {random:,} and eval_every {every:,}"
         )
-    return None
+    unused = [name for name in ("demo_share", "cloning") if _is_positive(getattr(learner, name))]
+    if unused and not len(demo_rows(problem, method).rows):
+        names, where = " and ".join(unused), f"{method.name} has no demonstrations on {problem.env.name}"
+        yield f"{names} without effect: {where}"
+
+
+def _is_positive(option: Any) -> bool:
+    """Return whether an `option` is given and positive in a lane, as far as no trace hides it."""
+    return option is not None and not isinstance(option, Tracer) and np.max(option) > 0
 
 
 def per_lane(options: Options, lanes: int) -> Options:

@@ -54,17 +54,23 @@ def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_the
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_run_that_ends_within_its_random_steps_is_warned_of(problem):
-    with pytest.warns(RunWarning, match="nothing is learnt: random_steps is 1,000, and the run has 120 steps"):
-        prepare(problem, tiny_method("naive", random_steps=1_000), lanes=2, steps=120)
-    prepare(problem, tiny_method("naive", random_steps=119), lanes=2, steps=120)
-
-
-@pytest.mark.filterwarnings("error")
-def test_refreshes_that_a_chunk_makes_more_frequent_are_warned_of(problem):
-    with pytest.warns(RunWarning, match=r"vaprl refreshes every 5 steps, not every 25: .* the 20 steps of a chunk"):
-        prepare(problem, tiny_method("vaprl", refresh_every=25), lanes=2, steps=120)
-    prepare(problem, tiny_method("vaprl", refresh_every=10), lanes=2, steps=120)
+@pytest.mark.parametrize(
+    ("task", "algo", "options", "changes", "message"),
+    [
+        ("tabletop_organization", "naive", {"random_steps": 1_000}, {"random_steps": 119},
+         "nothing is learnt: random_steps is 1,000, and the run has 120 steps"),
+        ("tabletop_organization", "vaprl", {"refresh_every": 25}, {"refresh_every": 10},
+         r"vaprl refreshes every 5 steps, not every 25: .* the 20 steps of a chunk"),
+        ("fish_swim", "naive", {"demo_share": 0.5, "cloning": 1.0}, {"demo_share": 0, "cloning": 0},
+         "demo_share and cloning without effect: naive has no demonstrations on fish_swim"),
+        ("fish_swim", "naive", {"demo_share": [0.0, 0.5]}, {"demo_share": [0.0, 0.0]}, "demo_share without effect"),
+    ],
+)  # fmt: skip
+def test_what_the_options_of_a_run_do_not_say_is_warned_of(task, algo, options, changes, message):
+    problem = make_problem(make(task), eval_every=40)
+    with pytest.warns(RunWarning, match=message):
+        prepare(problem, tiny_method(algo, **options), lanes=2, steps=120)
+    prepare(problem, tiny_method(algo, **changes), lanes=2, steps=120)
 
 
 def test_integer_leaves_become_floats_and_flags_stay_flags():
