@@ -80,7 +80,7 @@ class MEDAL(Method):
     @property
     def phases(self) -> tuple[Phase, ...]:
         sampled = FORWARD, PhaseDemos("backward", every_goal=True)
-        back = Phase(sampled, controller=1, length=self.phase_steps, ends_on_success=False)
+        back = Phase(sampled, controller=1, length=self.phase_steps, ends_on_success=False, has_goal=False)
         return Phase(length=self.phase_steps), back
 
     def next_goal(

@@ -43,7 +43,8 @@ class Phase:
     """One of the phases between which a method alternates; the first one pursues the task.
 
     `demos` are those of its `controller`; `length`, the steps after which it times out, is H_E
-    for None; `ends_on_success`: reaching the goal ends it (sparse tasks only); `resets`: its end resets the environment.
+    for None; `ends_on_success`: reaching the goal ends it (sparse tasks only); `resets`: its end resets the environment;
+    `has_goal`: metrics count whether it reaches its goal.
     """
 
     demos: tuple[PhaseDemos, ...] = (FORWARD,)
@@ -51,6 +52,7 @@ class Phase:
     length: int | None = None
     ends_on_success: bool = True
     resets: bool = False
+    has_goal: bool = True
 
     def __post_init__(self):
         given = self.demos

@@ -53,7 +53,7 @@ class R3L(Method):
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        return Phase(), Phase((), controller=1, ends_on_success=False)
+        return Phase(), Phase((), controller=1, ends_on_success=False, has_goal=False)
 
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any

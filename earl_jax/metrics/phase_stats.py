@@ -19,7 +19,7 @@ class PhaseStats(struct.PyTreeNode):
     """Counts of one lane: [2] is the task phase and the others, int32; steps are counted from 1.
 
     `ended [2]`, `reached [2]`: phases with a goal that have ended, and those of them that reached it; `counted [2, 2]`:
-    both at the last evaluation; `reached_at [2]`: the step of the last one reached, at first that of the start;
+    both at the last evaluation; `reached_at [2]`: the last step at such a goal, at first that of the start;
     `moved_at []`: the step at which the object last moved, and `rest [k]`, float32, where it was then. Without an
     object, `rest` is None.
     """
@@ -45,19 +45,21 @@ def advance_phase_stats(
     env_state: State,
     is_task: jax.Array,
     phase_ended: jax.Array,
-    reached: jax.Array,
+    at_goal: jax.Array,
     step: jax.Array,
+    age: jax.Array | int = 0,
 ) -> PhaseStats:
     """Return the counts after step number `step`, counted from 1, which led to `env_state`; bool scalars.
 
-    `is_task`: in the phase of the task; `phase_ended`: a phase with a goal ended with it, and `reached` its goal.
+    `is_task`: in the phase of the task; `phase_ended`: a phase with a goal ended with it; `at_goal`: `env_state` is at
+    this goal. A phase has reached its goal if one of its steps was there; `age []` is the number of those before this one.
     """
     phase = jnp.stack([is_task, ~is_task])
-    ends, reaches = phase & phase_ended, phase & reached
+    ends, reached_at = phase & phase_ended, jnp.where(phase & at_goal, step, stats.reached_at)
     stats = stats.replace(
         ended=stats.ended + ends,
-        reached=stats.reached + reaches,
-        reached_at=jnp.where(reaches, step, stats.reached_at),
+        reached=stats.reached + (ends & (reached_at >= step - age)),
+        reached_at=reached_at,
     )
     if env.object_position is None or stats.rest is None:
         return stats

@@ -51,7 +51,8 @@ class Attempt(NamedTuple):
 
     bool `is_task []`: the goal is a task goal, not that of a return phase; bool `expires []`: it times
     out after this step unless the goal is reached; bool `ends_on_success []`; bool `reset_at_end []`: its end also resets
-    the environment; bool `invalid_reward []`: the step earned a task reward that is not finite, which is a fault.
+    the environment; bool `invalid_reward []`: the step earned a task reward that is not finite, which is a fault. For the
+    metrics, bool `has_goal []` tells whether it counts, and int32 `age []` the steps before this one.
     """
 
     is_task: Any
@@ -59,18 +60,21 @@ class Attempt(NamedTuple):
     ends_on_success: Any
     reset_at_end: Any
     invalid_reward: Any = False
+    has_goal: Any = True
+    age: Any = 0
 
 
 class StepEnd(NamedTuple):
     """The end of one step, bool scalars.
 
-    `phase_ended`: the attempt's goal was `reached`, or it hit a `timeout`. `fault`: the simulation broke, and the step
-    is discarded. `goal_changes`: the environment sets another goal. `task_restarts`: the next attempt is at the task,
+    `phase_ended`: the attempt's goal was `reached`, or it hit a `timeout`. `passed`: the state is at the goal of an attempt
+    that success does not end. `fault`: the simulation broke, and the step is discarded. `goal_changes`: the environment sets another goal. `task_restarts`: the next attempt is at the task,
     after an intervention or a goal change. `env_reset`: the environment is reset to s0 ~ rho.
     """
 
     fault: jax.Array
     reached: jax.Array
+    passed: jax.Array
     timeout: jax.Array
     phase_ended: jax.Array
     goal_changes: jax.Array
@@ -86,8 +90,8 @@ def advance_rules(
     `key` draws interventions by chance. A fault resets this lane, as an intervention does.
     """
     fault = env.fault(env_state) | attempt.invalid_reward
-    success = env.sparse & env.success(env_state.obs) & attempt.ends_on_success
-    reached = success & ~fault & (env_state.done == 0)
+    success = env.sparse & env.success(env_state.obs) & ~fault & (env_state.done == 0)
+    reached = success & attempt.ends_on_success
     intervened = rules.intervened(step, key) | fault
     goal_changes = rules.goal_changes(step)
     task_restarts = intervened | (goal_changes & attempt.is_task)
@@ -96,6 +100,7 @@ def advance_rules(
     return StepEnd(
         fault=fault,
         reached=reached,
+        passed=success & ~reached,
         timeout=expired & ~reached,
         phase_ended=phase_ended,
         goal_changes=goal_changes,
@@ -119,13 +124,13 @@ def count_step(
 
     `earned []` is its reward for the task goal, which does not count after a fault. Nothing resets a life that has ended.
     """
-    phase_ended = end.phase_ended & attempt.ends_on_success
-    phases = advance_phase_stats(counters.phases, env, env_state, attempt.is_task, phase_ended, end.reached, step)
+    ended, at_goal = end.phase_ended & attempt.has_goal, (end.reached | end.passed) & attempt.has_goal
+    phases = advance_phase_stats(counters.phases, env, env_state, attempt.is_task, ended, at_goal, step, attempt.age)
     return counters.replace(
         window_reward=counters.window_reward + jnp.where(end.fault, 0.0, earned),
         interventions=counters.interventions + (end.env_reset & (env_state.done == 0)),
         faults=counters.faults + end.fault,
-        reached=counters.reached + (end.reached & attempt.is_task),
+        reached=counters.reached + (phases.reached - counters.phases.reached)[0],
         phases=phases,
     )
 

@@ -221,6 +221,8 @@ def _attempt(
         ends_on_success=of_phase([phase.ends_on_success for phase in method.phases], lane.phase),
         reset_at_end=of_phase([phase.resets for phase in method.phases], lane.phase),
         invalid_reward=~jnp.isfinite(earned),
+        has_goal=of_phase([phase.has_goal for phase in method.phases], lane.phase),
+        age=lane.phase_step,
     )
 
 
@@ -234,18 +236,18 @@ def _transition(
     end: StepEnd,
 ) -> Transition:
     """Return the transition that the replay stores for a step to `env_state`; training continues from `following`."""
-    env, absorbed = problem.env, env_state.done > 0
+    absorbed = env_state.done > 0
     flags = TransitionFlags(
         goal=lane.goal_indices.goal,
         reached=end.reached,
         timeout=end.timeout,
         no_successor=end.env_reset,
         absorbed=absorbed,
-        passed=env.sparse & env.success(env_state.obs) & ~(end.reached | end.fault | absorbed),
+        passed=end.passed,
     )
     effective_horizon = jnp.where(absorbed, 1.0 / (1.0 - method.learner.discount), 1.0)
     reward = jnp.where(end.fault, 0.0, env_state.reward * effective_horizon)
-    return Transition(action, following.obs[: env.state_size], reward, flags)
+    return Transition(action, following.obs[: problem.env.state_size], reward, flags)
 
 
 def _is_sampleable(method: Method, lane: LaneState, end: StepEnd) -> jax.Array:

@@ -18,7 +18,7 @@ def start(env):
 
 @pytest.fixture(scope="module")
 def after(env, start):
-    """Return a function that gives the counts after `steps`: mug's x, phase, over, reached."""
+    """Return a function that gives the counts after `steps`: mug's x, phase, over, at its goal."""
 
     def mug_at(x):
         return start.replace(data=start.data.replace(qpos=jnp.array([0.0, 0.0, x, 0.0])))
@@ -27,9 +27,10 @@ def after(env, start):
     advance = jax.jit(lambda life, x, *rest: phase_stats.advance_phase_stats(life, env, mug_at(x), *rest))
 
     def after(*steps):
-        life = first
+        life, age = first, 0
         for number, (x, *flags) in enumerate(steps, 1):
-            life = advance(life, x, *map(np.asarray, flags), number)
+            life = advance(life, x, *map(np.asarray, flags), number, age)
+            age = 0 if flags[1] else age + 1
         return life
 
     return after
@@ -46,6 +47,9 @@ def test_success_shares_count_the_phases_that_ended_since_the_last_evaluation(af
     assert (first[FORWARD], first[BACK]) == (0.5, 1.0)
     _, second = values(life, 4)
     assert np.isnan([second[FORWARD], second[BACK]]).all()
+    left = [(0.0, phase, over, at_goal) for phase in (FORWARD_PHASE, BACK_PHASE) for over, at_goal in ((0, 1), (1, 0))]
+    phases = after(*left, (0.0, FORWARD_PHASE, True, False))
+    assert (phases.ended.tolist(), phases.reached.tolist()) == ([2, 1], [1, 1]), "at its goal once is enough"
 
 
 def test_a_lane_is_alive_if_both_directions_were_reached_recently(after):

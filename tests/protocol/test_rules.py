@@ -32,7 +32,7 @@ def state_at(position, env=None):
     [
         (1, {}, set()),
         (GOAL, {}, {"reached", "phase_ended"}),
-        (GOAL, {"ends_on_success": False}, set()),
+        (GOAL, {"ends_on_success": False}, {"passed"}),
         (GOAL, {"reset_at_end": True}, {"reached", "phase_ended", "env_reset"}),
         (1, {"expires": True}, {"timeout", "phase_ended"}),
         (1, {"expires": True, "reset_at_end": True}, {"timeout", "phase_ended", "env_reset"}),

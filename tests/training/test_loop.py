@@ -102,7 +102,7 @@ def test_goals_that_the_environment_sets_change_by_the_clock_alone(problem, expe
     assert 16 < float(state.lanes.counters.window_reward.sum()) < 80
 
 
-def test_a_phase_of_a_fixed_length_is_rewarded_at_each_step_at_its_goal(problem, expert_acts):
+def test_a_phase_of_a_fixed_length_is_rewarded_at_each_step_at_its_goal_and_counts_as_reached(problem, expert_acts):
     state = acted(problem, tiny_method("fbrl", 4, fixed_phases=True), 400)
     batch = sample_own(state.replay, state.lanes.key, TASK, 500)
     goals = problem.goals.table[batch.flags.goal]
@@ -110,6 +110,9 @@ def test_a_phase_of_a_fixed_length_is_rewarded_at_each_step_at_its_goal(problem,
     assert 0.2 < success.mean() < 0.9
     np.testing.assert_array_equal(batch.reward, success)
     assert not batch.flags.reached.any()
+    counters = state.lanes.counters
+    assert counters.reached.tolist() == [1] * 4
+    assert counters.phases.ended.tolist() == counters.phases.reached.tolist() == [[1, 1]] * 4
 
 
 class Recorder(Method):
