@@ -190,7 +190,7 @@ def finish_step(
     env_state = env.finish_step(lane.env_state, pending)
     earned = env.goal_reward(env_state, table[lane.goal_indices.task])
     attempt = _attempt(problem, method, lane, earned, keys.reset, step)
-    end = advance_rules(lane.rules, env, env_state, attempt, step + 1, jax.random.fold_in(keys.reset, 1))
+    end = advance_rules(lane.rules, env, env_state, attempt, step + 1, keys.chance)
     phase = jnp.where(end.phase_ended, (lane.phase + 1) % len(method.phases), lane.phase)
     phase = jnp.where(end.task_restarts, TASK, phase)
     goal_indices = _next_goals(problem, method, lane, phase, keys.goal, end)

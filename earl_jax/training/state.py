@@ -65,6 +65,14 @@ class StepKeys(NamedTuple):
     prepare: jax.Array
     learn: jax.Array
 
+    @property
+    def chance(self) -> jax.Array:
+        """The key of interventions by chance, which is none of those that a reset can split from `reset`.
+
+        `jax.random.fold_in(key, i)` is `jax.random.split(key, n)[i]`, so a small i would let the draw choose the start too.
+        """
+        return jax.random.fold_in(self.reset, 1 << 31)
+
 
 def step_keys(key: jax.Array, step: jax.Array) -> StepKeys:
     """Return the random keys at `step` of the lane with the key `key`."""

@@ -1,5 +1,6 @@
 """Rules in training: interventions, faults, the absorbing end, lanes that diverge, and the map of visits."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from earl_jax.envs import make
 from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.protocol import Deployment
 from earl_jax.training import runner
-from earl_jax.training.state import MAP_BINS, Problem
+from earl_jax.training.state import MAP_BINS, Problem, step_keys
 from tests.conftest import (
     CHUNK,
     advance,
@@ -36,6 +37,17 @@ def test_lanes_of_one_program_follow_their_own_rules(env, problem):
     assert flags.timeout[flags.no_successor].all()
     np.testing.assert_array_equal(state.lanes.env_state.obs[1, :6], env.initial_states[0])
     assert int(state.lanes.phase[1]) == 0
+
+
+def test_interventions_by_chance_do_not_choose_the_start_that_follows():
+    """Their key used to be the second one into which a reset splits its own, with which fish_swim turns the fish."""
+
+    def draws(step):
+        keys = step_keys(jax.random.key(0), step)
+        return jax.random.uniform(keys.chance), jax.random.uniform(jax.random.split(keys.reset)[1])
+
+    chance, start = jax.vmap(draws)(jnp.arange(4000))
+    assert start[chance < 0.1].mean() == pytest.approx(0.5, abs=0.06)
 
 
 def test_a_later_run_with_other_rules_compiles_nothing():
