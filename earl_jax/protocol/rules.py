@@ -68,8 +68,9 @@ class StepEnd(NamedTuple):
     """The end of one step, bool scalars.
 
     `phase_ended`: the attempt's goal was `reached`, or it hit a `timeout`. `passed`: the state is at the goal of an attempt
-    that success does not end. `fault`: the simulation broke, and the step is discarded. `goal_changes`: the environment sets another goal. `task_restarts`: the next attempt is at the task,
-    after an intervention or a goal change. `env_reset`: the environment is reset to s0 ~ rho.
+    that success does not end. `fault`: the simulation broke, and the step is discarded. `goal_changes`: the environment
+    sets another goal. `task_restarts`: the next attempt is at the task, after an intervention or a goal change.
+    `env_reset`: the environment is reset to s0 ~ rho.
     """
 
     fault: jax.Array

@@ -67,10 +67,7 @@ class StepKeys(NamedTuple):
 
     @property
     def chance(self) -> jax.Array:
-        """The key of interventions by chance, which is none of those that a reset can split from `reset`.
-
-        `jax.random.fold_in(key, i)` is `jax.random.split(key, n)[i]`, so a small i would let the draw choose the start too.
-        """
+        """The key of interventions by chance; a small number would give one that a reset splits from its own."""
         return jax.random.fold_in(self.reset, 1 << 31)
 
 

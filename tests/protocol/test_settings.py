@@ -10,14 +10,14 @@ from earl_jax.protocol import Continuing, Deployment, Protocol, setting_of, spli
 from tests.envs.chain import Chain
 
 
-def test_a_setting_combines_its_own_numbers_with_those_of_the_task():
+def test_a_setting_combines_its_own_options_with_the_numbers_of_the_task(env):
     door = make("sawyer_door", engine="c")
     assert Deployment().protocol(door) == Protocol(200_000, 300)
     assert Continuing().protocol(door) == Protocol(50_000, 300, goal_change=600)
     assert Continuing().protocol(dataclasses.replace(door, train_horizon=700)).train_horizon == 700
-    assert Continuing(goal_change=30, intervention_chance=0.01).protocol(make("tabletop_organization")) == Protocol(
-        50_000, 200, intervention_chance=0.01, goal_change=30
-    )
+    changed = {"goal_change": 30, "intervention_chance": 0.01, "eval_pairs": "balanced"}
+    assert Continuing(**changed).protocol(env) == Protocol(50_000, 200, **changed)
+    assert Deployment(eval_pairs="balanced").protocol(env) == Protocol(200_000, 200, eval_pairs="balanced")
 
 
 def test_the_lifelong_h_t_of_a_task_can_be_never():
@@ -44,16 +44,11 @@ def test_an_explicit_h_t_that_equals_the_tasks_default_holds():
         assert with_explicit_horizon(setting, peg, options) is setting
 
 
-def test_unknown_settings_and_options_are_refused():
+def test_unknown_settings_options_and_pairs_are_refused(env):
     with pytest.raises(ValueError, match="unknown setting 'lifelong'; choose from deployment, continuing"):
         setting_of("lifelong")
     with pytest.raises(ValueError, match="setting 'deployment' has no option 'goal_change'"):
         setting_of("deployment", goal_change=3)
-
-
-def test_a_setting_balances_the_pairs_of_evaluations(env):
-    assert Deployment(eval_pairs="balanced").protocol(env) == Protocol(200_000, 200, eval_pairs="balanced")
-    assert Continuing(eval_pairs="balanced").protocol(env).eval_pairs == "balanced"
     with pytest.raises(ValueError, match="unknown eval_pairs 'stratified'; choose from random, balanced"):
         Deployment(eval_pairs="stratified").protocol(env)
 
