@@ -153,7 +153,7 @@ def _counts(scored: Iterable[tuple[str, str, float, float]]) -> str:
     compared = {env: scores[env] for env in task_order(scores) if len(scores[env]) > 1}
     if not compared:
         return "no task has two methods to compare"
-    naive = [env for env, methods in compared.items() if "naive" in best(methods, 1)]
+    naive = [env for env, methods in compared.items() if best(methods, 1) == {"naive"}]
     other_best = [env for env, methods in compared.items() if not best(methods, 0) & best(methods, 1)]
     swapped = [env for env, methods in compared.items() if changes_order(methods)]
     total = len(compared)

@@ -102,6 +102,9 @@ def test_a_claim_needs_two_methods_on_a_task_and_ties_are_no_change_of_order(tmp
     assert not changes_order({"naive": (0.0, 0.1), "fbrl": (0.3, 0.2)})
     assert changes_order({"naive": (0.4, 0.1), "fbrl": (0.3, 0.2)})
     assert best(tied, 0) == {"naive", "fbrl"}
+    equal = [(TABLETOP, algo, constant(0.5), rewards(0.1)) for algo in ("naive", "fbrl")]
+    text = counted(read_methods(write_runs(tmp_path / "equal", equal)))
+    assert "In our runs naive RL is the best on 0 of 1, the best methods" in text
 
 
 def test_the_contradiction_of_text_and_table_is_a_known_fault():
