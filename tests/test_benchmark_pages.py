@@ -110,6 +110,8 @@ def test_the_quickstart_expects_what_pairs_of_the_kept_seeds_score():
     pairs = [scores[:, list(pair)].mean(axis=1) for pair in itertools.combinations(range(5), 2)]
     assert scores[-1].round(2).tolist() == [0.64, 0.77, 0.71, 0.68, 0.64]
     other = quickstart_curves("two_seeds.csv", 2)[1][:, -7:].mean()
+    ten = quickstart_curves("ten_seeds.csv", 10)[1][:, -5:].mean(axis=1)
+    assert (ten.min().round(2), ten.max().round(2)) == (0.36, 0.79)
     assert (np.min(pairs).round(2), np.max(pairs).round(2), other.round(2)) == (0.53, 0.76, 0.39)
     assert (np.floor(10 * other) / 10, np.ceil(10 * np.max(pairs)) / 10) == tuple(map(float, quickstart.RANGE))
 
