@@ -17,7 +17,7 @@ from earl_jax.options.values import within
 
 
 class Agent(struct.PyTreeNode):
-    """One controller: the actor and two stacked critics, their targets, and Adam's moments of both."""
+    """One controller: actor and two stacked critics, their targets, Adam's moments, and the actor's last loss."""
 
     actor: Any
     critics: Any
@@ -25,6 +25,7 @@ class Agent(struct.PyTreeNode):
     target_critics: Any
     actor_moments: Any
     critic_moments: Any
+    actor_loss: jax.Array
 
 
 class TD3(Learner):
@@ -63,7 +64,7 @@ class TD3(Learner):
         network, example = mlp(self.hidden_sizes, 1, self.layer_norm), jnp.zeros((obs_size + action_size,))
         critics = jax.vmap(network.init, (0, None))(jax.random.split(critic_key, 2), example)
         target_actor, targets = jax.tree.map(jnp.copy, (actor, critics))
-        return Agent(actor, critics, target_actor, targets, ADAM.init(actor), ADAM.init(critics))
+        return Agent(actor, critics, target_actor, targets, ADAM.init(actor), ADAM.init(critics), jnp.zeros(()))
 
     def act(self, key: jax.Array, actor: Any, obs: jax.Array) -> jax.Array:
         greedy = self.greedy(actor, obs)
@@ -92,7 +93,7 @@ class TD3(Learner):
         return self.reward_scale * batch.reward + jnp.where(batch.terminal, 0.0, self.discount * value)
 
     def update(self, key: jax.Array, agent: Agent, batch: Batch) -> tuple[Agent, dict[str, jax.Array]]:
-        """Return the agent after a step on the critics for each batch, and where it is due on the actor; both losses.
+        """Return the agent after a step on the critics for each batch, and where it is due on the actor; last losses.
 
         The predicate of the branch is the same in all lanes, so that it stays a branch under vmap.
         """
@@ -105,8 +106,8 @@ class TD3(Learner):
         last = jax.tree.map(lambda leaf: leaf[-1], parts)._replace(step=batch.step)
         assert batch.step is not None
         due = (batch.step + 1) % self.policy_delay == 0
-        agent, loss = jax.lax.cond(due, self.update_actor, lambda agent, _: (agent, jnp.zeros(())), agent, last)
-        return agent, {"critic_loss": losses[-1], "actor_loss": loss}
+        agent = jax.lax.cond(due, self.update_actor, lambda agent, _: agent, agent, last)
+        return agent, {"critic_loss": losses[-1], "actor_loss": agent.actor_loss}
 
     def update_critics(self, key: jax.Array, agent: Agent, batch: Batch) -> tuple[Agent, jax.Array]:
         """Return the agent after a descent step on the squared TD errors of both critics, and their loss []."""
@@ -119,8 +120,8 @@ class TD3(Learner):
         critics, moments = descend(agent.critics, grads, agent.critic_moments, self.learning_rate)
         return agent.replace(critics=critics, critic_moments=moments), value
 
-    def update_actor(self, agent: Agent, batch: Batch) -> tuple[Agent, jax.Array]:
-        """Return the agent after a step of the actor on `-Q_1` and the cloning term, and of all targets; and that loss."""
+    def update_actor(self, agent: Agent, batch: Batch) -> Agent:
+        """Return the agent after a step of the actor on `-Q_1` and the cloning term, and of all targets."""
 
         def loss(actor):
             action = self.greedy(actor, batch.obs)
@@ -130,5 +131,5 @@ class TD3(Learner):
         value, grads = jax.value_and_grad(loss)(agent.actor)
         actor, moments = descend(agent.actor, grads, agent.actor_moments, self.learning_rate)
         targets = follow((agent.target_actor, agent.target_critics), (actor, agent.critics), self.target_rate)
-        agent = agent.replace(actor=actor, actor_moments=moments, target_actor=targets[0], target_critics=targets[1])
-        return agent, value
+        agent = agent.replace(actor=actor, actor_moments=moments, actor_loss=value)
+        return agent.replace(target_actor=targets[0], target_critics=targets[1])

@@ -50,6 +50,8 @@ def test_the_target_is_the_smaller_value_at_a_smoothed_action_of_the_target_poli
 def test_the_critics_learn_every_step_and_the_policy_and_all_targets_every_second_one(agent, batch, cloning):
     learner, key = SMALL.replace(cloning=cloning, pretrain_steps=0), jax.random.key(4)
     early, late = (update(learner, key, agent, batch._replace(step=np.int32(step)))[0] for step in (0, 1))
+    _, losses = update(learner, key, late, batch._replace(step=np.int32(2)))
+    assert losses["actor_loss"] == late.actor_loss != early.actor_loss == 0
     target = jax.jit(learner.td_target)(jax.random.split(key, 1)[0], agent, batch)
 
     @jax.jit
