@@ -173,10 +173,10 @@ def demonstrated_obs(env: Env) -> np.ndarray:
 
 
 def demos_to_clone(env: Env, demos: DemoSteps) -> DemoSteps:
-    """Return the forward demonstrations for the forward controller, and the backward ones under each task goal."""
+    """Return the demonstrations of the forward controller, and the backward ones under each task goal for the other."""
     size, tasks = env.state_size, env.goal_states
     is_forward = (np.abs(demos.obs[:, None, size:] - tasks).max(axis=-1) < 1e-6).any(axis=1)
-    forward, back = (demos.controller == TASK) & is_forward, (demos.controller == RETURN) & ~is_forward
+    forward, back = demos.controller == TASK, (demos.controller == RETURN) & ~is_forward
     count = int(back.sum())
     goals, states = np.repeat(tasks, count, axis=0), np.tile(demos.obs[back, :size], (len(tasks), 1))
     return DemoSteps(

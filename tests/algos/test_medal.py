@@ -125,11 +125,12 @@ def test_backward_demonstrations_get_task_goals_on_ways_back_alone_and_each_cont
     np.testing.assert_array_equal(back.demonstrated, demonstrated & backward)
 
 
-def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem):
+@pytest.mark.parametrize("all_demos", [False, True])
+def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem, all_demos):
     env = problem.env
-    demos = demos_to_clone(env, demo_steps(problem, tiny_method("medal")))
+    demos = demos_to_clone(env, demo_steps(problem, tiny_method("medal", all_demos=all_demos)))
     forward, backward = env.demonstrations.load("forward"), env.demonstrations.load("backward")
-    assert len(demos.of(TASK).obs) == len(forward.ends)
+    assert len(demos.of(TASK).obs) == len(forward.ends) + all_demos * len(backward.ends)
     demonstrated = demonstrated_obs(env)
     assert demonstrated.shape == (len(forward.ends) + 12, 12)
     assert env.success(demonstrated[-12:]).all()
