@@ -92,9 +92,10 @@ def init_replay(problem: Problem, method: Method, lanes: int, steps: int) -> Rep
         return replay
     replay = unfolded(replay)
     obs = jnp.concatenate([demos.states[demos.rows + 1], problem.goals.table[demos.goals]], axis=-1)
-    reached = env.success(obs) & env.sparse
-    goal, no = jnp.asarray(demos.goals), jnp.zeros_like(reached)
-    flags = TransitionFlags(goal=goal, reached=reached, timeout=no, no_successor=no, absorbed=no)
+    success, ends = env.success(obs) & env.sparse, any(phase.ends_on_success for phase in method.phases)
+    goal, no = jnp.asarray(demos.goals), jnp.zeros_like(success)
+    reached, passed = (success, no) if ends else (no, success)
+    flags = TransitionFlags(goal=goal, reached=reached, timeout=no, no_successor=no, absorbed=no, passed=passed)
     first, second = demos.sampleable(0), demos.sampleable(1)
     index = replay.index.at[: len(first)].set(first[:, None])
     index = index.at[len(index) - len(second) :].set(second[::-1, None])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from earl_jax.algos import SAC, Method
-from earl_jax.algos.learner.replay import sample_own
+from earl_jax.algos.learner.replay import sample_own, unpack
 from earl_jax.algos.method import RETURN, TASK
 from earl_jax.envs import make
 from earl_jax.physics.engines import c
@@ -113,6 +113,9 @@ def test_a_phase_of_a_fixed_length_is_rewarded_at_each_step_at_its_goal_and_coun
     counters = state.lanes.counters
     assert counters.reached.tolist() == [1] * 4
     assert counters.phases.ended.tolist() == counters.phases.reached.tolist() == [[1, 1]] * 4
+    demonstrated = unpack(state.replay.flags[: int(state.replay.first_row)])
+    assert demonstrated.passed.any()
+    assert not demonstrated.reached.any()
 
 
 class Recorder(Method):

@@ -123,7 +123,10 @@ class CFBRL(RISC):
     def prepare(
         self, key: jax.Array, env: Env, goals: Goals, batch: TransitionBatch, phase: jax.Array, method_state: Any
     ) -> TransitionBatch:
-        """Return `batch` with some goals and places replaced, and `demonstrated` where the action is still to clone."""
+        """Return `batch` with some goals and places replaced, and `demonstrated` where the action is still to clone.
+
+        With `fixed_phases`, no transition ends at its goal.
+        """
         if not env.sparse:
             return batch
         assert batch.demonstrated is not None
@@ -138,7 +141,8 @@ class CFBRL(RISC):
             goal=steps.goal,
             demonstrated=batch.demonstrated & to_clone,
         )
-        return rescored(env, batch, steps.goal, changed)
+        batch = rescored(env, batch, steps.goal, changed)
+        return batch._replace(flags=batch.flags._replace(reached=batch.flags.reached & (not self.fixed_phases)))
 
     def transform(
         self, key: jax.Array, env: Env, steps: Steps, allowed: jax.Array, demonstrated: jax.Array
