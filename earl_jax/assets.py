@@ -82,9 +82,16 @@ def demos(name: str, direction: str) -> Demos:
     require_known("direction", direction, DIRECTIONS)
     path = _file("demos", name, ".npz")
     read, changed = _read_demos(path, direction)
-    if path.stat().st_mtime_ns != changed:  # goals of the first content are in compiled programs
-        raise InputError(f"{path} has changed since this process read it: choose another name for the new file")
+    require_unchanged(path, changed)
     return read
+
+
+def require_unchanged(path: Path, changed: int) -> None:
+    """Raise an InputError unless the file at `path` was last `changed` at this time in ns, when this process read it."""
+    if path.stat().st_mtime_ns != changed:  # compiled programs have the first content
+        raise InputError(
+            f"{path} has changed since this process read it: restart it, or choose another name for the new file"
+        )
 
 
 @functools.cache

@@ -13,7 +13,7 @@ from brax.envs.wrappers import training
 
 from earl_jax.adapters._session import Outputs, Session
 from earl_jax.envs import Env, resolved_engine
-from earl_jax.protocol import ProtocolState, set_goal
+from earl_jax.protocol import ProtocolState
 
 NO_TIME_LIMIT = 2**30
 """More steps than any lifetime has, and exact in float32, in which brax counts steps."""
@@ -66,7 +66,7 @@ class ResetFreeEnv(BraxEnv):
     def set_goal(self, state: BraxState, goal: jax.Array | None = None) -> BraxState:
         """Return `state` with `goal [g]` or the environment's choice; for lanes, use vmap on `env.unwrapped.set_goal`."""
         previous: Any = state.pipeline_state
-        session_state = set_goal(self.session.env, previous, goal)
+        session_state = self.session.set_goal(previous, goal, jnp.asarray(True))
         return dataclasses.replace(state, pipeline_state=session_state, obs=session_state.obs)
 
     def _fields(self, state: ProtocolState, outputs: Outputs, interventions_before: jax.Array) -> dict[str, Any]:

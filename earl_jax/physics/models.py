@@ -30,8 +30,8 @@ _READ: dict[str, tuple[Path, int]] = {}
 def require_unchanged(name: str) -> None:
     """Raise an InputError if the file of the model `name` has changed since this process compiled it."""
     path, changed = _READ.get(name, (Path(), 0))
-    if path.is_file() and path.stat().st_mtime_ns != changed:  # compiled programs have the first content
-        raise InputError(f"{path} has changed since this process read it: restart it, or save the file by another name")
+    if path.is_file():
+        assets.require_unchanged(path, changed)
 
 
 @functools.cache
