@@ -136,13 +136,11 @@ def permutation(scores: np.ndarray, others: np.ndarray) -> Comparison:
     if min(len(scores), len(others)) < 2 or not math.isfinite(result.difference):
         return result
     pooled = np.concatenate([np.asarray(scores, float), np.asarray(others, float)])
-    picks, drawn = _splits(len(pooled), len(scores))
-    weights = np.full((len(picks), len(pooled)), -1 / len(others))
-    np.put_along_axis(weights, picks, 1 / len(scores), axis=1)
+    weights, drawn = _splits(len(scores), len(others))
     own = np.repeat([1 / len(scores), -1 / len(others)], [len(scores), len(others)])
     changed = weights * np.sign(weights @ pooled)[:, None] - own * np.sign(own @ pooled)
     extreme = np.sum(changed @ pooled >= -ROUNDING * (np.abs(changed) @ np.abs(pooled)))
-    return result._replace(p=float((extreme + drawn) / (len(picks) + drawn)))
+    return result._replace(p=float((extreme + drawn) / (len(weights) + drawn)))
 
 
 def smallest_p(seeds: int, others: int) -> float:
@@ -190,9 +188,13 @@ def _freedom(sample: Sample, other: Sample) -> float:
 
 
 @functools.cache
-def _splits(total: int, first: int) -> tuple[np.ndarray, int]:
-    """Return indices [k, first] of the first group in each split, and 1 if they are drawn, 0 if they are all."""
-    if math.comb(total, first) <= SPLITS:
-        return np.array(list(itertools.combinations(range(total), first))), 0
-    rng = np.random.default_rng(0)
-    return np.argsort(rng.random((SPLITS, total)), axis=1)[:, :first], 1
+def _splits(seeds: int, others: int) -> tuple[np.ndarray, int]:
+    """Return the weights [k, seeds + others] of all scores in the difference of each split, and 1 if they are drawn, else 0."""
+    total, drawn = seeds + others, math.comb(seeds + others, seeds) > SPLITS
+    if drawn:
+        picks = np.argsort(np.random.default_rng(0).random((SPLITS, total)), axis=1)[:, :seeds]
+    else:
+        picks = np.array(list(itertools.combinations(range(total), seeds)))
+    weights = np.full((len(picks), total), -1 / others)
+    np.put_along_axis(weights, picks, 1 / seeds, axis=1)
+    return weights, int(drawn)
