@@ -31,8 +31,8 @@ RESETS = FrankaKitchen.train_horizon
 """Steps between two resets of the kitchen."""
 STILL = 0.1
 """The change of the reward per step under which a kitchen counts as still."""
-KITCHEN_FBRL = "franka_kitchen/fbrl/commit_c7e2d9e"
-"""The kitchen's run of FBRL with an evaluation every `LONG` steps."""
+KITCHEN_FBRL, KITCHEN_R3L = (f"franka_kitchen/{algo}/commit_c7e2d9e" for algo in ("fbrl", "r3l"))
+"""The kitchen's runs that have an evaluation every `LONG` steps."""
 GOALS = 1 / 240
 """Rewards per step of R3L's released lives on tabletop at their end."""
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
@@ -95,7 +95,7 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("sawyer_door/vaprl", "share of those up to 0.3M steps", functools.partial(shut_share, end=EARLY)),
     ("sawyer_door/vaprl", "share of those from 0.3M steps on", functools.partial(shut_share, start=EARLY)),
     (KITCHEN_FBRL, "correlation of successive intervals of 20,000 steps", memory),
-    ("franka_kitchen/r3l", "correlation of successive intervals of 20,000 steps", memory),
+    (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
     *(
         (run, name, measure)
         for run in ("franka_kitchen/naive", KITCHEN_FBRL, "franka_kitchen/fbrl/mean_return")

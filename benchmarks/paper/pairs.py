@@ -95,11 +95,11 @@ AGAIN = {
     for cell, commit in (
         (f"{TABLETOP}/naive", "ed7009a"), (f"{TABLETOP}/vaprl", "ed7009a"), (f"{DOOR}/r3l", "24b5aba"),
         (f"{KITCHEN}/naive", "87f9604"), (f"{KITCHEN}/oracle", "87f9604"), (f"{KITCHEN}/fbrl", "c7e2d9e"),
-        (f"{KITCHEN}/oracle/reward_scale_0.1", "fbeb891"),
+        (f"{KITCHEN}/r3l", "c7e2d9e"), (f"{KITCHEN}/oracle/reward_scale_0.1", "fbeb891"),
     )
 }  # fmt: skip
 """Cells whose seeds were run again, and their earlier runs."""
-BESIDE_VARIANTS = {"fbrl": AGAIN[f"{KITCHEN}/fbrl"], "r3l": f"{KITCHEN}/r3l"}
+BESIDE_VARIANTS = {algo: AGAIN[f"{KITCHEN}/{algo}"] for algo in ("fbrl", "r3l")}
 """The kitchen's runs with the released replay that have evaluations at the steps of their variants."""
 VAPRL = {
     DOOR: ("no_nearest_fallback", "no_unmet_goals", ALL_KEPT),
