@@ -7,8 +7,6 @@ from typing import Any
 
 from earl_jax.errors import InputError, choices
 
-NOUNS = {"env": "task", "algo": "method"}
-"""What messages call a kind."""
 REGISTERED: list[type] = []
 """The classes that were registered in this process, of every kind."""
 
@@ -23,7 +21,7 @@ class Registry:
 
     def __init__(self, kind: str, base: str, table: dict[str, str]):
         self.kind, self._base = kind, metadata.EntryPoint("base", base, kind)
-        self._noun = NOUNS.get(kind, kind)
+        self.noun = {"env": "task", "algo": "method"}.get(kind, kind)  # what messages call the kind
         self._table: dict[str, str | type[Any]] = dict(table)
 
     def _entry_points(self) -> list[metadata.EntryPoint]:
@@ -51,7 +49,7 @@ class Registry:
         installed = any((point.name, point.value) == (name, path) for point in self._entry_points())
         defined_again = isinstance(known, type) and class_name(known) == path
         if name in self.names() and not (installed or defined_again):
-            raise InputError(f"{self._noun} {name!r} exists already; choose another name")
+            raise InputError(f"{self.noun} {name!r} exists already; choose another name")
         if not installed:
             self._table[name] = self._checked(name, cls, "the registered class")
         REGISTERED.append(cls)
@@ -82,13 +80,13 @@ class Registry:
         owners = own + [_owner(point) for point in points]
         if len(owners) > 1:
             raise InputError(
-                f"{self._noun} {name!r} is claimed by {' and '.join(owners)}; rename the entry point or uninstall one"
+                f"{self.noun} {name!r} is claimed by {' and '.join(owners)}; rename the entry point or uninstall one"
             )
         if points:
             return points[0], owners[0]
         if target is None:
             own = "your own: --import FILE, see docs/extending.md"
-            raise InputError(f"unknown {self._noun} {name!r}; {choices(name, self.names())} ({own})")
+            raise InputError(f"unknown {self.noun} {name!r}; {choices(name, self.names())} ({own})")
         return metadata.EntryPoint(name, target, self.kind) if isinstance(target, str) else target, owners[0]
 
     def _loaded(self, point: metadata.EntryPoint) -> type[Any]:
@@ -97,7 +95,7 @@ class Registry:
             factory = point.load()
         except Exception as error:
             cause = f"{type(error).__name__}: {error}"
-            raise InputError(f"{self._noun} {point.name!r} of {_owner(point)} cannot be loaded: {cause}") from error
+            raise InputError(f"{self.noun} {point.name!r} of {_owner(point)} cannot be loaded: {cause}") from error
         return self._checked(point.name, factory, f"{point.value} of {_owner(point)}")
 
     def _checked(self, name: str, factory: Any, source: str) -> type[Any]:
@@ -105,11 +103,11 @@ class Registry:
         base = self._base.load()
         if not isinstance(factory, type) or not issubclass(factory, base) or not dataclasses.is_dataclass(factory):
             kind = f"a dataclass and a subclass of {base.__name__}"
-            raise InputError(f"{self._noun} {name!r}: {source} must be {kind}, not {factory!r}")
+            raise InputError(f"{self.noun} {name!r}: {source} must be {kind}, not {factory!r}")
         own = getattr(factory, "name", None)
         if own != name:
             raise InputError(
-                f"{self._noun} {name!r}: {source} has the name {own!r}, which run folders would store; rename one"
+                f"{self.noun} {name!r}: {source} has the name {own!r}, which run folders would store; rename one"
             )
         return factory
 
@@ -122,7 +120,7 @@ class Registry:
         from earl_jax.options.values import check  # loads numpy, which listing does not need
 
         cls = self.get(name)
-        check(f"{self._noun} {name!r}", cls, options)
+        check(f"{self.noun} {name!r}", cls, options)
         return cls(**options)
 
 

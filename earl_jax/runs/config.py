@@ -4,19 +4,19 @@ import dataclasses
 import json
 import shlex
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from earl_jax.algos import Method, algo_class, list_algos, list_learners, make_algo, preset_learner
+from earl_jax.algos import Method, make_algo, preset_learner
 from earl_jax.algos.method import check_method
-from earl_jax.envs import Env, env_class, list_envs, make
+from earl_jax.envs import Env, make
 from earl_jax.errors import InputError, brief, require_known
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.imports import Record, check_records, latest, records, short_hash
-from earl_jax.options.registry import LEARNER, NOUNS, class_name
+from earl_jax.options.registry import ALGOS, ENVS, LEARNER, LEARNERS, Registry, class_name
 from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import check_intervals, check_storable
@@ -108,8 +108,8 @@ class RunConfig:
             seeds=seeds,
             **dataclasses.asdict(schedule.changed(eval_every=min(schedule.eval_every, schedule.steps))),
             setting={"name": setting.name, **_changed_options(setting)},
-            env_class=_unregistered_class(task, env_class),
-            algo_class=_unregistered_class(method, algo_class),
+            env_class=_unregistered_class(task, ENVS),
+            algo_class=_unregistered_class(method, ALGOS),
             reward_type=reward_type(task),
             imports=records(),
         )
@@ -151,8 +151,7 @@ class RunConfig:
             ValueError: the run was trained on an object of a class that its name does not build; the message names the
                 class.
         """
-        _require_registered("env", self.env, self.env_class, env_class)
-        self._require_imported("env", self.env, list_envs)
+        self._require_class(ENVS, self.env, self.env_class)
         return make(self.env, **self.env_options)
 
     def build_env(self) -> Env:
@@ -161,31 +160,40 @@ class RunConfig:
 
     def build_method(self) -> Method:
         """Return the method with its hyper-parameters. Errors as `build_task`."""
-        _require_registered("algo", self.algo, self.algo_class, algo_class)
-        self._require_imported("algo", self.algo, list_algos)
-        self._require_imported("learner", self.options.get("learner", LEARNER), list_learners)
+        self._require_class(ALGOS, self.algo, self.algo_class)
+        self._require_class(LEARNERS, self.options.get("learner", LEARNER))
         return make_algo(self.algo, **self.options)
 
     def require_objects(self, task: Env | None, method: Method | None) -> None:
         """Raise an InputError if `task` or `method`, where one is given, has another name or other options than this run's."""
         if task is not None:
-            _require_equal("env", {"name": self.env, **self.env_options}, {"name": task.name, **_changed_options(task)})
+            _require_equal(ENVS, {"name": self.env, **self.env_options}, {"name": task.name, **_changed_options(task)})
         if method is not None:
-            _require_equal("algo", {"name": self.algo, **self.options}, {"name": method.name, **method_options(method)})
+            _require_equal(ALGOS, {"name": self.algo, **self.options}, {"name": method.name, **method_options(method)})
 
     @property
     def deployed_metric(self) -> str:
         """The name of the task's deployed metric: success for sparse rewards, return for dense ones."""
         return DEPLOYED[self.reward_type]
 
-    def _require_imported(self, kind: str, name: Any, known: Callable[[], list[str]]) -> None:
-        """Raise an InputError that names the files of this run if `name` is unknown; without files, do nothing."""
-        if not self.imports or name in known():
+    def _require_class(self, registry: Registry, name: Any, trained: str | None = None) -> None:
+        """Raise an InputError if `name` has another class here than the one named `trained`, or if it is unknown.
+
+        The latter names the files of this run; without any, an unknown name is left to `registry`.
+        """
+        if trained is not None and trained != _registered_class(registry, name):
+            cls, kind = trained.rpartition(":")[2].rpartition(".")[2], registry.kind
+            raise InputError(
+                f"this run was trained with {registry.noun} {name!r} as an object of {trained}, which is not "
+                f"registered here; import that module and call earl_jax.register_{kind}({name!r}, {cls}), or pass the "
+                f"object: earl_jax.resume(folder, {kind}=...)"
+            )
+        if not self.imports or name in registry.names():
             return
         files = latest(self.imports).values()
         named = " and ".join(f"{record['file']} (sha256 {short_hash(record)})" for record in files)
         options = " ".join(f"--import {shlex.quote(record['file'])}" for record in files)
-        raise InputError(f"unknown {NOUNS.get(kind, kind)} {name!r}: this run was trained with {named}: pass {options}")
+        raise InputError(f"unknown {registry.noun} {name!r}: this run was trained with {named}: pass {options}")
 
     def warn_of_changes(self, path: Path) -> None:
         """Warn if a file of this run, whose folder is `path`, was imported here with another text."""
@@ -230,13 +238,13 @@ def method_options(method: Method) -> dict[str, Any]:
     return options
 
 
-def _require_equal(kind: str, own: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+def _require_equal(registry: Registry, own: Mapping[str, Any], given: Mapping[str, Any]) -> None:
     """Raise an InputError if the values of a run's task or method differ from those of the object that was passed."""
     own, given = (json.loads(json.dumps(values, default=repr)) for values in (own, given))
     for name in {**own, **given}:
         then, now = (values.get(name, "the default") for values in (own, given))
         if then != now:
-            known = f"{NOUNS[kind]} of this run has the {name} {brief(then)}"
+            known = f"{registry.noun} of this run has the {name} {brief(then)}"
             raise InputError(f"the {known}, and the object passed has {brief(now)}")
 
 
@@ -256,27 +264,15 @@ def _changed_options(options: Any) -> dict[str, Any]:
     return {field.name: value for field, value in values if value != field.default}
 
 
-def _registered_class(name: str, class_of: Callable[[str], type]) -> str | None:
+def _registered_class(registry: Registry, name: str) -> str | None:
     """Return the name of the class that `name` is registered for, or None."""
     try:
-        return class_name(class_of(name))
+        return class_name(registry.get(name))
     except ValueError:
         return None
 
 
-def _unregistered_class(target: Any, class_of: Callable[[str], type]) -> str | None:
+def _unregistered_class(target: Any, registry: Registry) -> str | None:
     """Return the class name of `target` if its name is not registered, or registered for another class; else None."""
     own = class_name(type(target))
-    return None if own == _registered_class(target.name, class_of) else own
-
-
-def _require_registered(kind: str, name: str, trained: str | None, class_of: Callable[[str], type]) -> None:
-    """Raise a ValueError unless `name` is registered for the class named `trained`, or that is None."""
-    if trained is None or trained == _registered_class(name, class_of):
-        return
-    cls = trained.rpartition(":")[2].rpartition(".")[2]
-    raise InputError(
-        f"this run was trained with {NOUNS[kind]} {name!r} as an object of {trained}, which is not registered here; "
-        f"import that module and call earl_jax.register_{kind}({name!r}, {cls}), or pass the object: "
-        f"earl_jax.resume(folder, {kind}=...)"
-    )
+    return None if own == _registered_class(registry, target.name) else own
