@@ -240,37 +240,32 @@ def serve(task: dict[str, Any]) -> int:
     `max_lanes` and the `logs` of its runs; runs can have the other arguments of `work` by name.
     """
     gc.set_threshold(100_000, 50, 50)  # as on the command line
-    return _serve_grid(task) if "grid" in task else _serve_runs(task)
-
-
-def _serve_grid(task: dict[str, Any]) -> int:
-    """Print the plan of the grid of `task`, or why there is none."""
     try:
-        _run_imports(task)
-        check_logs(task.get("logs", ()))
-        answer = {"state": "planned", "plan": plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"])}
+        for record in task.get("imports", ()):
+            imports.note(**record)
+        imports.run_noted()
+        if "grid" in task:
+            check_logs(task.get("logs", ()))
+            _print(state="planned", plan=plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"]))
     except Exception as error:
-        answer = {"state": "refused", "detail": _cause(error)}
-    print(json.dumps(answer), flush=True)
-    return 0
+        cause = _cause(error)
+        if "grid" in task:
+            _print(state="refused", detail=cause)
+        for name in task.get("runs", ()):
+            _print(run=name, state="failed", detail=cause)
+        return len(task.get("runs", ()))
+    return 0 if "grid" in task else _train(task)
 
 
-def _serve_runs(task: dict[str, Any]) -> int:
+def _train(task: dict[str, Any]) -> int:
     """Train the runs of `task`, print every event and return how many failed."""
     failed: list[str] = []
 
     def emit(name: str, state: str, detail: str) -> None:
         if state == "failed":
             failed.append(name)
-        print(json.dumps({"run": name, "state": state, "detail": detail}), flush=True)
+        _print(run=name, state=state, detail=detail)
 
-    try:
-        _run_imports(task)
-    except Exception as error:
-        cause = _cause(error)
-        for name in task["runs"]:
-            emit(name, "failed", cause)
-        return len(failed)
     configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
     options = {name: task[name] for name in ("progress", "devices", "logs") if name in task}
     limit = TimeLimit(*task["limit"]) if task.get("limit") else None
@@ -278,7 +273,5 @@ def _serve_runs(task: dict[str, Any]) -> int:
     return len(failed)
 
 
-def _run_imports(task: dict[str, Any]) -> None:
-    for record in task.get("imports", ()):
-        imports.note(**record)
-    imports.run_noted()
+def _print(**event: Any) -> None:
+    print(json.dumps(event), flush=True)
