@@ -127,8 +127,10 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
 
 
 def _read_state(folders: Sequence[Path], step: int, sizes: Sequence[int], like: Any, with_replay: bool) -> Any:
-    names = ("lanes", "replay") if with_replay else ("lanes",)
-    most = {name: _most_bytes(getattr(like, name)) for name in names}
+    most = {}
+    for name in PARTS if with_replay else PARTS[:1]:
+        size = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(getattr(like, name)))
+        most[name] = (1 << 20) + 2 * size  # both lists of a replay can be as long as its index
     parts = [archive.read(folder, step, most) for folder in folders]
     lanes = _joined(folders, [part["lanes"] for part in parts], sizes, like.lanes)
     replay = like.replay
@@ -138,11 +140,6 @@ def _read_state(folders: Sequence[Path], step: int, sizes: Sequence[int], like: 
         except (KeyError, ValueError, TypeError, IndexError) as error:
             raise archive.DamagedError(folders[0], step, f"its replay has other arrays ({error})") from error
     return like.replace(lanes=lanes, replay=replay, step=jnp.asarray(step, jnp.int32))
-
-
-def _most_bytes(tree: Any) -> int:
-    """Return the bytes of a file of the leaves of `tree` at most; both lists of a replay can be as long as its index."""
-    return (1 << 20) + 2 * sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
 
 
 def _joined(folders: Sequence[Path], parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: Any) -> Any:
