@@ -10,7 +10,6 @@ import json
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from earl_jax.errors import InputError, require_known
 from earl_jax.options import imports
@@ -128,7 +127,9 @@ def grid_text(
     options: Options | None = None,
 ) -> str:
     """Return the runs of an artefact as a grid in TOML, which `earl-jax sweep` reads. Arguments and errors as `reproduce`."""
-    made, chosen = _lookup("experiment", ARTEFACTS, name), _lookup("scale", SCALES, scale)
+    require_known("experiment", name, ARTEFACTS)
+    require_known("scale", scale, SCALES)
+    made, chosen = ARTEFACTS[name], SCALES[scale]
     if seeds is not None:
         seed_list(seeds)
     if steps is not None:
@@ -139,11 +140,6 @@ def grid_text(
     chosen = dataclasses.replace(chosen, seeds=seeds or chosen.seeds, steps=steps or chosen.steps)
     blocks = [block for task in tasks or made.tasks[: chosen.tasks] for block in made.blocks(task)[: chosen.blocks]]
     return "\n".join(line for block in blocks for line in _block_lines(block, chosen, options or {}))
-
-
-def _lookup(kind: str, table: dict[str, Any], name: str) -> Any:
-    require_known(kind, name, table)
-    return table[name]
 
 
 def _block_lines(block: Block, scale: Scale, options: Options) -> list[str]:
