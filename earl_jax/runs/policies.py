@@ -40,16 +40,12 @@ def save_policies(
 
 def policies_step(path: Path) -> int:
     """Return the step of the policies at `path`, or 0 if there is no such file. Errors as `load_policies`."""
-    return int(_read(path, [])["step"]) if path.exists() else 0
+    return int(_read(path)["step"]) if path.exists() else 0
 
 
 def policy_sizes(path: Path) -> tuple[int, int]:
     """Return the sizes of the observation and of the action of the policies at `path`. Errors as `load_policies`."""
-    names = ("obs_size", "action_size")
-    arrays = _read(path, names)
-    for name in names:
-        if name not in arrays or arrays[name].shape or arrays[name].dtype.kind not in "iu" or arrays[name] < 1:
-            raise InputError(f"{path} is damaged: it has no {name}; delete it to use the newest checkpoint")
+    arrays = _read(path, sizes=("obs_size", "action_size"))
     return int(arrays["obs_size"]), int(arrays["action_size"])
 
 
@@ -90,12 +86,14 @@ def _named(actors: Any) -> dict[str, Any]:
     return {f"actor{jax.tree_util.keystr(path)}": leaf for path, leaf in jax.tree_util.tree_leaves_with_path(actors)}
 
 
-def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the array `step` and the arrays `names`, as far as the file has them."""
+def _read(path: Path, names: Sequence[str] = (), sizes: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """Return the number `step`, the positive numbers `sizes`, and the arrays `names` as far as the file has them."""
     try:
-        arrays = load_npz(read_bytes(path, MAX_BYTES), ["step", *names])
-        if "step" not in arrays or arrays["step"].shape or arrays["step"].dtype.kind not in "iu":
-            raise InputError("it has no step")
+        arrays = load_npz(read_bytes(path, MAX_BYTES), ["step", *sizes, *names])
+        for name in ("step", *sizes):
+            array = arrays.get(name)
+            if array is None or array.shape or array.dtype.kind not in "iu" or (name in sizes and array < 1):
+                raise InputError(f"it has no {name}")
     except InputError as error:
         raise InputError(f"{path} is damaged: {error}; delete it to use the newest checkpoint") from error
     return arrays
