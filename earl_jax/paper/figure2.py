@@ -18,20 +18,10 @@ from earl_jax.metrics.comparison import CANNOT_TELL, Sample, mean_interval
 from earl_jax.metrics.scores import final_scores
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, interval_columns
+from earl_jax.report import style
 from earl_jax.report.comparison import compared_texts, comparison_columns, with_verdicts
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves
-from earl_jax.report.style import (
-    AXES,
-    draw_band,
-    legend_below,
-    legend_entries,
-    new_figure,
-    ordered,
-    reach,
-    step_axis,
-    task_title,
-)
 from earl_jax.report.tables import interval_text, markdown_table, steps_text
 from earl_jax.runs.config import RunConfig
 
@@ -139,7 +129,7 @@ def _arms(runs: Sequence[Curves]) -> Arms:
             if key in points:
                 raise InputError(f"runs on {env} with H_T {horizon:,}, {UPDATES[update]}, differ in other options")
             points[key] = Point(*key, curves, returns[updates == update])
-    envs = ordered((env for env, _, _ in points), TASKS)
+    envs = style.ordered((env for env, _, _ in points), TASKS)
     arms: Arms = {(env, update): [] for env in envs for update in UPDATES}
     for key, point in sorted(points.items()):
         arms[key[:2]].append(point)
@@ -257,20 +247,20 @@ def _missing(arms: Arms) -> str:
 def _draw(arms: Arms) -> Any:
     """Return a figure with a row per task: learning curves of each TD update by horizon, then final returns."""
     envs = list(dict.fromkeys(env for env, _ in arms))
-    figure, axes = new_figure(len(envs), len(UPDATES) + 1, (4.6 * (len(UPDATES) + 1), 3.7 * len(envs) + 0.4))
+    figure, axes = style.new_figure(len(envs), len(UPDATES) + 1, (4.6 * (len(UPDATES) + 1), 3.7 * len(envs) + 0.4))
     horizons = sorted({point.horizon for arm in arms.values() for point in arm})
     for env, line in zip(envs, axes, strict=True):
         for update, axis in zip(UPDATES, line, strict=False):
             for point in arms[env, update]:
-                draw_band(axis, point.run.steps, mean_interval(point.returns), _colour(point.horizon, horizons))
-            axis.set(title=f"{task_title(env)}, {UPDATES[update]}", ylabel=AXES["deployed/return"])
+                style.draw_band(axis, point.run.steps, mean_interval(point.returns), _colour(point.horizon, horizons))
+            axis.set(title=f"{style.task_title(env)}, {UPDATES[update]}", ylabel=style.AXES["deployed/return"])
             axis.sharey(line[0])
             axis.grid(alpha=0.3)
-            step_axis(axis)
+            style.step_axis(axis)
         _draw_final(line[-1], env, arms)
     lines = {f"Reset every {steps_text(horizon)}": {"color": _colour(horizon, horizons)} for horizon in horizons}
-    names = {name.capitalize(): handle for name, handle in legend_entries(axes[:1, -1]).items()}
-    legend_below(figure, lines | names, -(-(len(horizons) + 2) // 2))
+    names = {name.capitalize(): handle for name, handle in style.legend_entries(axes[:1, -1]).items()}
+    style.legend_below(figure, lines | names, -(-(len(horizons) + 2) // 2))
     return figure
 
 
@@ -284,11 +274,15 @@ def _colour(horizon: int, horizons: Sequence[int]) -> Any:
 def _draw_final(axis: Any, env: str, arms: Arms) -> None:
     """Draw a task's final returns, moved sideways a little so that the intervals of both updates can be seen."""
     for update, name in UPDATES.items():
-        arm, (colour, style) = arms[env, update], PLOT_STYLES[update]
+        arm, (colour, marks) = arms[env, update], PLOT_STYLES[update]
         estimate = Estimate(*np.reshape([mean_interval(point.scores) for point in arm], (-1, 3)).T)
         x = [point.horizon * (1.03 if update else 0.97) for point in arm]
-        axis.errorbar(x, estimate.value, reach(estimate), fmt=style, color=colour, label=name, capsize=3, markersize=5)
-    axis.set(title=f"{task_title(env)}, final", xscale="log", xlabel="Steps between resets", ylabel="Final return")
+        axis.errorbar(
+            x, estimate.value, style.reach(estimate), fmt=marks, color=colour, label=name, capsize=3, markersize=5
+        )
+    axis.set(
+        title=f"{style.task_title(env)}, final", xscale="log", xlabel="Steps between resets", ylabel="Final return"
+    )
     ticks = sorted({point.horizon for update in UPDATES for point in arms[env, update]})
     axis.set_xticks(ticks, [steps_text(horizon) for horizon in ticks])
     axis.set_xticks([], minor=True)

@@ -12,24 +12,12 @@ from earl_jax.envs import PAPER_TASKS
 from earl_jax.metrics.scores import SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, interval_columns, mean_text, runs_of
+from earl_jax.report import style
 from earl_jax.report.paper_rows import CONTINUING, table_scores
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import published_beside, released_beside
 from earl_jax.report.runs import Curves, common_step, options_text
 from earl_jax.report.scores import LEVELS, crossings_beside, interval_of, level_crossings, seed_scores, trailing
-from earl_jax.report.style import (
-    AXES,
-    LINE_STYLES,
-    colours,
-    draw_band,
-    grouped,
-    legend_below,
-    legend_entries,
-    method_title,
-    new_figure,
-    step_axis,
-    task_title,
-)
 from earl_jax.report.tables import markdown_table, millions, step_interval
 
 SMOOTH = " (trailing 10)"
@@ -91,21 +79,21 @@ def _released_text(number: int, curves: Curves, digits: int) -> str:
 
 
 def _draw(runs: Sequence[Curves]) -> Any:
-    tasks = grouped(runs, lambda curves: (curves.env, curves.deployed_metric))
-    figure, axes = new_figure(2, len(tasks), (max(4.4 * len(tasks), 7.0), 6.6), sharex="col")
-    palette = colours(curves.algo for curves in runs)
+    tasks = style.grouped(runs, lambda curves: (curves.env, curves.deployed_metric))
+    figure, axes = style.new_figure(2, len(tasks), (max(4.4 * len(tasks), 7.0), 6.6), sharex="col")
+    palette = style.colours(curves.algo for curves in runs)
     for of_task, column in zip(tasks.values(), axes.T, strict=True):
         for curves in of_task:
             peers = [other.label for other in of_task if other.algo == curves.algo]
-            line_style = LINE_STYLES[peers.index(curves.label) % len(LINE_STYLES)]
+            line_style = style.LINE_STYLES[peers.index(curves.label) % len(style.LINE_STYLES)]
             _draw_method(column, curves, palette[curves.algo], line_style)
         metric = of_task[0].deployed_metric
-        column[0].set(title=task_title(of_task[0].env), ylabel=AXES[metric])
+        column[0].set(title=style.task_title(of_task[0].env), ylabel=style.AXES[metric])
         if metric == SUCCESS:
             column[0].set_ylim(-0.04, 1.04)
-        column[1].set_ylabel(AXES[CONTINUING])
+        column[1].set_ylabel(style.AXES[CONTINUING])
         column[0].set_xlim(0, max(curves.steps[-1] for curves in of_task))
-        step_axis(column[1])
+        style.step_axis(column[1])
         for axis in column:
             axis.grid(alpha=0.3)
     _add_legend(figure, axes)
@@ -114,10 +102,12 @@ def _draw(runs: Sequence[Curves]) -> Any:
 
 def _draw_method(column: Any, curves: Curves, colour: str, line_style: str) -> None:
     """Draw both curves of a method, published final values as dashes at the right edge, and crossings as crosses."""
-    label, metrics, deployed = method_title(curves.label), curves.metrics, curves.deployed_metric
+    label, metrics, deployed = style.method_title(curves.label), curves.metrics, curves.deployed_metric
     drawn = {deployed: trailing(metrics[deployed]), CONTINUING: metrics[CONTINUING]}
     for axis, (metric, values), table in zip(column, drawn.items(), ("table1", "table2"), strict=True):
-        draw_band(axis, curves.steps, interval_of(curves, values, metric), colour, linestyle=line_style, label=label)
+        style.draw_band(
+            axis, curves.steps, interval_of(curves, values, metric), colour, linestyle=line_style, label=label
+        )
         if final := published_beside(table, curves):
             edge = axis.get_yaxis_transform()
             axis.plot([1.015, 1.075], [final.value] * 2, "--", color=colour, linewidth=2, transform=edge, clip_on=False)
@@ -126,14 +116,14 @@ def _draw_method(column: Any, curves: Curves, colour: str, line_style: str) -> N
 
 
 def _add_legend(figure: Any, axes: Any) -> None:
-    entries = legend_entries(axes[0]) | {
+    entries = style.legend_entries(axes[0]) | {
         "Published, final value": {"color": "0.5", "linestyle": "--", "linewidth": 2},
         "Published mean reaches 0.5, 0.9": {"color": "0.5", "linestyle": "", "marker": "X", "markersize": 7},
     }
     columns = 4 if axes.shape[1] < 3 else 8
     if any("(" in name for name in entries):
-        entries, columns = {textwrap.fill(name, LETTERS): style for name, style in entries.items()}, columns // 2
-    legend_below(figure, entries, min(len(entries), columns), fontsize="small")
+        entries, columns = {textwrap.fill(name, LETTERS): look for name, look in entries.items()}, columns // 2
+    style.legend_below(figure, entries, min(len(entries), columns), fontsize="small")
 
 
 FIGURE5 = Artefact("figure5", PAPER_TASKS, runs_of(*METHODS), report)

@@ -18,22 +18,11 @@ from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, POWER, mean_interval
 from earl_jax.metrics.scores import SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
+from earl_jax.report import style
 from earl_jax.report.comparison import with_verdicts
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves
 from earl_jax.report.scores import seed_scores
-from earl_jax.report.style import (
-    AXES,
-    colours,
-    legend_below,
-    legend_entries,
-    method_order,
-    method_title,
-    new_figure,
-    reach,
-    task_order,
-    task_title,
-)
 from earl_jax.report.tables import markdown_table, number_text
 
 TASKS = ("tabletop_organization", "sawyer_door")
@@ -98,7 +87,7 @@ def seed_rows(runs: Sequence[Curves]) -> list[Row]:
         if value in line:
             raise InputError(f"runs of {algo} on {env} with {kind} {value:g} differ in other options; name one of them")
         line[value] = run
-    envs, algos = task_order(env for env, _, _ in lines), method_order(algo for _, algo, _ in lines)
+    envs, algos = style.task_order(env for env, _, _ in lines), style.method_order(algo for _, algo, _ in lines)
     rows = []
     for name in [(env, algo, kind) for env in envs for algo in algos for kind in KINDS]:
         line = sorted(lines.get(name, {}).items())
@@ -154,8 +143,8 @@ def _findings_table(lines: Lines) -> str:
     rows = []
     for (name, line), test in zip(lines.items(), tests, strict=True):
         ends = [
-            " to ".join(format(column(end, score).mean(), style) for end in (line[0], line[-1]))
-            for score, style in (("interventions", ",.0f"), ("final", ".3f"))
+            " to ".join(format(column(end, score).mean(), digits) for end in (line[0], line[-1]))
+            for score, digits in (("interventions", ",.0f"), ("final", ".3f"))
         ]
         p_texts = [number_text(test[p], ".3f", 0.001) for p in ("p", "p_holm")]
         seeds = sum(map(len, line))
@@ -173,27 +162,27 @@ def _detectable(seeds: int) -> float:
 def _draw(lines: Lines, metrics: dict[str, str]) -> Any:
     """Return a figure with a column per task: final score and area by the interventions spent; `metrics` names the scores."""
     envs = list(dict.fromkeys(env for env, _, _ in lines))
-    figure, axes = new_figure(2, len(envs), (max(4.8 * len(envs), 6.4), 7.0), sharex="col")
-    palette = colours(algo for _, algo, _ in lines)
+    figure, axes = style.new_figure(2, len(envs), (max(4.8 * len(envs), 6.4), 7.0), sharex="col")
+    palette = style.colours(algo for _, algo, _ in lines)
     for (env, algo, kind), line in lines.items():
-        style = {"fmt": KINDS[kind], "color": palette[algo], "label": f"{method_title(algo)}, {NAMES[kind]}"}
+        look = {"fmt": KINDS[kind], "color": palette[algo], "label": f"{style.method_title(algo)}, {NAMES[kind]}"}
         for axis, score in zip(axes[:, envs.index(env)], ("final", "deployed_area"), strict=True):
-            _draw_line(axis, line, score, metrics[env] == SUCCESS, **style)
+            _draw_line(axis, line, score, metrics[env] == SUCCESS, **look)
     for env, (above, below) in zip(envs, axes.T, strict=True):
-        above.set(title=task_title(env), ylabel=AXES[metrics[env]])
+        above.set(title=style.task_title(env), ylabel=style.AXES[metrics[env]])
         mean = f"Mean {metrics[env].removeprefix('deployed/')} over training"
         below.set(xscale="symlog", xlabel="Interventions", ylabel=mean)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
-    legend_below(figure, legend_entries(axes[0]), 4)
+    style.legend_below(figure, style.legend_entries(axes[0]), 4)
     return figure
 
 
-def _draw_line(axis: Any, line: Sequence[Sequence[Row]], score: str, rate: bool, **style: Any) -> None:
+def _draw_line(axis: Any, line: Sequence[Sequence[Row]], score: str, rate: bool, **look: Any) -> None:
     """Draw one line, with the value of epsilon or the budget beside each point."""
     spent = [column(seeds, "interventions").mean() for seeds in line]
     estimate = Estimate(*zip(*(mean_interval(column(seeds, score), rate) for seeds in line), strict=True))
-    axis.errorbar(spent, estimate.value, reach(estimate), capsize=3, markersize=5, **style)
+    axis.errorbar(spent, estimate.value, style.reach(estimate), capsize=3, markersize=5, **look)
     for x, y, seeds in zip(spent, estimate.value, line, strict=True):
         axis.annotate(f"{seeds[0]['value']:g}", (x, y), (4, 4), textcoords="offset points", fontsize="x-small")
 

@@ -11,26 +11,11 @@ from earl_jax.metrics.comparison import FEWEST_SEEDS
 from earl_jax.metrics.scores import RATES
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.options.values import COUNT, counted, require
+from earl_jax.report import style
 from earl_jax.report.pooling import read_all
 from earl_jax.report.published import released_beside
 from earl_jax.report.runs import Curves, checked_labels, labels
 from earl_jax.report.scores import evenly_spaced, interval_of, trailing
-from earl_jax.report.style import (
-    AXES,
-    LINE_STYLES,
-    PICTURES,
-    dot,
-    draw_band,
-    grouped,
-    legend_below,
-    matplotlib,
-    method_title,
-    new_figure,
-    save,
-    step_axis,
-    task_order,
-    task_title,
-)
 from earl_jax.runs.files import RunWarning, require_suffix
 
 RELEASED = {"color": "0.55"}
@@ -70,7 +55,7 @@ class Line(NamedTuple):
     @property
     def style(self) -> dict[str, Any]:
         """The colour, and dashes for those beyond ten colours."""
-        dashes = LINE_STYLES[self.number // COLOUR_COUNT % len(LINE_STYLES)]
+        dashes = style.LINE_STYLES[self.number // COLOUR_COUNT % len(style.LINE_STYLES)]
         return {"color": f"C{self.number % COLOUR_COUNT}", "linestyle": dashes}
 
 
@@ -108,40 +93,40 @@ def plot_runs(
             `metric`, or matplotlib is not installed.
     """
     out = Path(out)
-    require_suffix(out, PICTURES, "pictures")
+    require_suffix(out, style.PICTURES, "pictures")
     require_known("size", size, SIZES)
     require("smooth", smooth, COUNT)
     runs = read_all(folders, check=lambda curves: curves.metrics[metric or curves.deployed_metric])
     lines = _lines(runs, names)
-    tasks = task_order(line.curves.env for line in lines)
+    tasks = style.task_order(line.curves.env for line in lines)
     by_task = sorted(lines, key=lambda line: tasks.index(line.curves.env))
-    of_tasks = grouped(by_task, lambda line: (line.curves.env, metric or line.curves.deployed_metric)).values()
+    of_tasks = style.grouped(by_task, lambda line: (line.curves.env, metric or line.curves.deployed_metric)).values()
     groups = [[line] for of_task in of_tasks for line in of_task] if published else of_tasks
     cells = [(group, *panel) for group in groups for panel in _panels(group, metric)]
     layout = SIZES[size]
     columns = min(layout.columns, len(cells))
     rows = -(-len(cells) // columns)
-    with matplotlib().rc_context({"font.size": layout.points, "text.parse_math": False}):
-        figure, axes = new_figure(rows, columns, (layout.width, layout.height * rows))
+    with style.matplotlib().rc_context({"font.size": layout.points, "text.parse_math": False}):
+        figure, axes = style.new_figure(rows, columns, (layout.width, layout.height * rows))
         released = False
         for axis, (group, drawn, heading) in zip(axes.flat, cells, strict=False):
             released |= _draw_panel(axis, group, drawn, smooth, published)
-            names = [task_title(group[0].curves.env)] * (len(tasks) > 1) + [group[0].name] * published
+            names = [style.task_title(group[0].curves.env)] * (len(tasks) > 1) + [group[0].name] * published
             title = layout.wrapped(", ".join(names), columns, 1.2)  # as matplotlib enlarges titles
             axis.set_title("\n".join(filter(None, (title, heading))))
         for axis in axes.flat[len(cells) :]:
             axis.set_visible(False)
         if len(tasks) == 1:
-            figure.suptitle(task_title(tasks[0]))
+            figure.suptitle(style.task_title(tasks[0]))
         _add_legend(figure, lines, layout, released)
-        return save(figure, out)
+        return style.save(figure, out)
 
 
 def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
     """Return the lines of `runs`; lines of different tasks that have the same name have the same colour."""
     given = labels(runs)
     distinct = list(dict.fromkeys(given))
-    titles = checked_labels(names, distinct) if names else map(method_title, distinct)
+    titles = checked_labels(names, distinct) if names else map(style.method_title, distinct)
     renamed = dict(zip(distinct, titles, strict=True))
     return [Line(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
 
@@ -163,23 +148,23 @@ def _draw_panel(axis: Any, lines: Sequence[Line], metric: str, smooth: int, publ
             draw_curves(axis, released, metric, smooth, RELEASED, each=True)
             beside = True
         draw_curves(axis, line.curves, metric, smooth, line.style, each=published or line.curves.seeds < FEWEST_SEEDS)
-    axis.set(ylabel=AXES.get(metric, metric), xlim=(0, None))
+    axis.set(ylabel=style.AXES.get(metric, metric), xlim=(0, None))
     if metric in RATES:
         axis.set_ylim(-0.03, 1.03)
-    step_axis(axis)
+    style.step_axis(axis)
     axis.grid(alpha=0.3)
     return beside
 
 
-def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, style: dict[str, Any], each: bool) -> None:
+def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, look: dict[str, Any], each: bool) -> None:
     """Draw the mean over seeds of a metric with its 95 % band, or with `each` seed."""
     shown = evenly_spaced(len(curves.steps), POINTS)
     steps, values = curves.steps[shown], trailing(curves.metrics[metric], smooth)[:, shown]
     estimate = interval_of(curves, values, metric)
     band = Estimate(*[estimate.value] * 3) if each else estimate
-    draw_band(axis, steps, band, alpha=0.2, **style)
+    style.draw_band(axis, steps, band, alpha=0.2, **look)
     if each:
-        axis.plot(steps, values.T, color=style["color"], alpha=0.3, linewidth=0.8, marker=dot(steps))
+        axis.plot(steps, values.T, color=look["color"], alpha=0.3, linewidth=0.8, marker=style.dot(steps))
 
 
 def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool) -> None:
@@ -187,7 +172,7 @@ def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool
 
     Where styles repeat there is no legend, and a `RunWarning` says so.
     """
-    styles = COLOUR_COUNT * len(LINE_STYLES)
+    styles = COLOUR_COUNT * len(style.LINE_STYLES)
     if max(line.number for line in lines) >= styles:
         text = f"a picture of more than {styles} lines has no legend, because their styles repeat"
         warnings.warn(text, RunWarning, stacklevel=3)
@@ -199,7 +184,7 @@ def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool
         entries.setdefault(line.name + seeds, line.style)
     entries |= {"Published, five seeds": RELEASED} if released else {}
     columns = min(layout.columns, len(entries))
-    filled = {layout.wrapped(name, columns): style for name, style in entries.items()}
+    filled = {layout.wrapped(name, columns): look for name, look in entries.items()}
     height = max(sum(name.count("\n") + 1 for name in list(filled)[i::columns]) for i in range(columns))
     figure.set_figheight(figure.get_figheight() + 1.35 * height * layout.points / 72)
-    legend_below(figure, filled, columns)
+    style.legend_below(figure, filled, columns)

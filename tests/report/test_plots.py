@@ -67,7 +67,7 @@ def test_a_metric_smoothing_and_labels(sweep, drawn):
 
 
 def test_lines_whose_styles_repeat_have_no_legend(sweep, drawn, monkeypatch):
-    monkeypatch.setattr(plots, "LINE_STYLES", ["-"])
+    monkeypatch.setattr(plots.style, "LINE_STYLES", ["-"])
     monkeypatch.setattr(plots, "COLOUR_COUNT", 2)
     assert drawn(sweep).legends
     monkeypatch.setattr(plots, "COLOUR_COUNT", 1)
