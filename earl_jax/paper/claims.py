@@ -7,13 +7,11 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.metrics.comparison import CANNOT_TELL
 from earl_jax.paper.artefact import METHODS, Row, methods_on
-from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.comparison import UNTESTED, compared_texts, comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import table_scores
 from earl_jax.report.published import is_comparable, published_score, released_curves
 from earl_jax.report.runs import Curves, common_step
@@ -91,7 +89,7 @@ def claim_rows(number: int, runs: Sequence[Curves] | None = None) -> list[Row]:
             tested = _test(claim, [released_curves(*name) for name in names]) or _printed(claim)
         else:
             tested = _test(claim, [first.get(name) for name in names])
-        rows.append({**claim._asdict(), "steps": None, "p": np.nan, "difference": np.nan, "verdict": NOT_RUN, **tested})
+        rows.append({**claim._asdict(), "steps": None, **UNTESTED, "verdict": NOT_RUN, **tested})
     return with_verdicts(rows, family=("text", "env"))
 
 
@@ -123,8 +121,6 @@ def _names(row: Row) -> list[str]:
 
 def _tests(row: Row, steps: bool = False) -> list[str]:
     """Return the difference, the steps if asked, the adjusted p and the verdict of a row."""
-    if row["verdict"] == NOT_RUN:
-        return ["-"] * (3 if steps else 2) + [NOT_RUN]
     difference, _, p, _ = compared_texts(row)
     return [difference, *([millions(row["steps"])] if steps else []), p, word(row)]
 
