@@ -65,8 +65,6 @@ def _table_by_task(rows: Sequence[Row]) -> str:
 def _comparison(row: Row) -> str:
     style = f".{DIGITS.get(row['metric'], 4)}f"
     ours = "-" if row["mean"] is None else error_text(row["mean"], row["stderr"], style)
-    if row["published_mean"] == "-":
-        return f"{ours} / - / -"
     verdict = " ".join(filter(None, (row["verdict"].strip("-"), share_of_steps(row)))) or "-"
     return f"{ours} / {PublishedScore(row['published_mean'], row['published_stderr']).text} / {verdict}"
 
