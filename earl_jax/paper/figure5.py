@@ -53,7 +53,7 @@ def _line(curves: Curves) -> list[str]:
     scores, rewards = curves.metrics[curves.deployed_metric], curves.metrics[CONTINUING]
     crossings, published = [], crossings_beside(curves)
     for level, estimate in level_crossings(curves).items():
-        crossings += [step_interval(estimate), millions(published.get(level))]
+        crossings += [step_interval(*estimate), millions(published.get(level))]
     digits = 3 if curves.deployed_metric == SUCCESS else 1
     return [
         curves.env,

@@ -71,7 +71,7 @@ def run_row(curves: Curves, source: str = OURS) -> Row:
 
 def crossing_texts(curves: Curves) -> dict[str, str]:
     """Return the cells of a row that say when the runs reach each of `LEVELS`."""
-    return {f"to_{level}": step_interval(step) for level, step in level_crossings(curves).items()}
+    return {f"to_{level}": step_interval(*step) for level, step in level_crossings(curves).items()}
 
 
 def commit_of(curves: Curves) -> str:

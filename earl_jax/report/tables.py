@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.scores import DEFAULT, Window
-from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves, checked_labels, labels, options_text
 from earl_jax.report.scores import LEVELS, interval_of, row_of, seed_scores
@@ -126,11 +125,7 @@ def _interval(row: Row, name: str, ends: Sequence[str] = (), style: str = ".3f")
 
 def _crossing(level: float) -> Column:
     names = [f"steps_to_{level}{end}" for end in ("", "_low", "_high")]
-
-    def cell(row: Row) -> str:
-        return step_interval(Estimate(*(math.nan if row[name] is None else row[name] for name in names)))
-
-    return f"to {level} [95 %]", cell
+    return f"to {level} [95 %]", lambda row: step_interval(*(row[name] for name in names))
 
 
 def _number(heading: str, name: str, style: str) -> Column:
@@ -256,8 +251,7 @@ def steps_text(steps: float) -> str:
     return f"{rounded / unit:g}{letter}"
 
 
-def step_interval(estimate: Estimate) -> str:
+def step_interval(value: float | None, low: float | None, high: float | None) -> str:
     """Return a crossing in millions of steps, with its interval if it has one; `-` stands for what was not reached."""
-    if math.isnan(estimate.low) and math.isnan(estimate.high):
-        return millions(estimate.value)
-    return f"{millions(estimate.value)} [{millions(estimate.low)}, {millions(estimate.high)}]"
+    text, *ends = map(millions, (value, low, high))
+    return text if ends == ["-", "-"] else f"{text} [{', '.join(ends)}]"
