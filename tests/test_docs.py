@@ -36,7 +36,7 @@ def table_rows(text, first):
     return [[cell.strip() for cell in row.strip("|").split(" | ")] for table in tables for row in table.splitlines()]
 
 
-@pytest.mark.parametrize("cls", [algos.Learner, algos.SAC, algos.TD3, *map(algos.algo_class, own_algos())])
+@pytest.mark.parametrize("cls", [algos.Learner, algos.SAC, algos.TD3, *map(algos.ALGOS.get, own_algos())])
 def test_the_page_of_methods_has_every_hyper_parameter(cls):
     page = (DOCS / "methods.md").read_text()
     fields = {field.name: repr(field.default) for field in dataclasses.fields(cls)}

@@ -20,7 +20,6 @@ list_algos = ALGOS.names
 """`list_algos()` returns the names that `make_algo` takes, sorted."""
 register_algo = ALGOS.register
 """`register_algo(name, cls)` registers the `Method` subclass `cls` for `make_algo`. A name that is taken is a ValueError."""
-algo_class = ALGOS.get
 list_learners = LEARNERS.names
 """`list_learners()` returns the names of the learners, sorted."""
 register_learner = LEARNERS.register
