@@ -116,11 +116,6 @@ def stopping(as_json: bool, values: dict[str, Any]) -> Iterator[None]:
         raise
 
 
-def print_line(line: str) -> None:
-    """Print `line` without buffering."""
-    print(line, flush=True)
-
-
 def parse_options(pairs: Iterable[str]) -> dict[str, Any]:
     """Return name=value `pairs` as a dictionary. A value is JSON, or else text, so that names need no quotes.
 

@@ -5,7 +5,7 @@ import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from earl_jax.cli.arguments import Positional, Texts, emit, print_line, replacing
+from earl_jax.cli.arguments import Positional, Texts, emit, replacing
 from earl_jax.errors import InputError, printable
 from earl_jax.options.values import counted
 
@@ -232,9 +232,9 @@ def report(
     from earl_jax.report.html.media import PolicyVideos
     from earl_jax.report.html.writing import watch_page, write_page
 
-    policies, chosen = PolicyVideos(print_line) if videos else None, Window.of(last, window)
+    policies, chosen = PolicyVideos(print) if videos else None, Window.of(last, window)
     if watch:
-        watch_page(folders, out, every, print_line, policies=policies, window=chosen)
+        watch_page(folders, out, every, print, policies=policies, window=chosen)
         return
     with replacing(out):
         page = write_page(folders, out, policies=policies, window=chosen)

@@ -5,7 +5,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Literal
 
-from earl_jax.cli.arguments import Logs, Positional, Texts, emit, parse_minutes, parse_options, print_line, stopping
+from earl_jax.cli.arguments import Logs, Positional, Texts, emit, parse_minutes, parse_options, stopping
 from earl_jax.sweeps.slots import PerDevice
 
 
@@ -50,7 +50,7 @@ def sweep(
             slurm=pairs,
             devices=devices,
             per_device=per_device,
-            emit=lines.append if json else print_line,
+            emit=lines.append if json else print,
             logs=tuple(itertools.chain(*log)),
             minutes=limit,
         )
@@ -92,7 +92,7 @@ def search(
     from earl_jax.sweeps.search import STATES, TRIALS, search as run_search
 
     lines: list[str] = []
-    report = lines.append if json else print_line
+    report = lines.append if json else print
     with stopping(json, {"out": str(out), "lines": lines, "resume": "repeat the command"}):
         history = run_search(space, out, trials, batch, rungs, seed, devices=devices, emit=report, minutes=limit)
     done = [trial for trial in history if trial.state == "done"]
@@ -146,10 +146,9 @@ def reproduce(
         devices=devices,
         per_device=per_device,
         minutes=limit,
-        emit=print_line,
     )
     for path in paths:
         print(path)
     if failed:
-        print_line(f"failed runs: {', '.join(failed)}")
+        print(f"failed runs: {', '.join(failed)}")
         raise SystemExit(1)

@@ -43,14 +43,14 @@ class LastingStream:
 
 @contextlib.contextmanager
 def lasting_streams() -> Iterator[LastingStream]:
-    """A context in which stdout and stderr are lasting streams; it returns stdout, which escapes what it cannot encode."""
+    """A context with lasting stdout and stderr; it returns stdout, which writes lines at once and escapes some."""
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:  # another file would get the number of the closed stream, and its output
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")
+        sys.stdout.reconfigure(errors="backslashreplace", line_buffering=True)
     out, err = LastingStream(sys.stdout), LastingStream(sys.stderr)
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
