@@ -141,7 +141,7 @@ def learn(
 ) -> LaneState:
     """Return the lane after an update of the controller that acted, on `sampled` transitions [B].
 
-    `step []` counts from 0. In a `warmup` and after the end of the lifetime, the agent stays as it is.
+    `step []` counts from 0. In a `warmup` and after the end of the lifetime, the lane stays as it is.
     """
     env, phase = problem.env, lane.phase
     sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
@@ -152,11 +152,10 @@ def learn(
     agent = _controller(lane.agent, controller)
     agent, method_state, diagnostics = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
-    if env.has_absorbing_state:
-        ended = lane.env_state.done > 0
-        agent, method_state = tree_where(ended, (lane.agent, lane.method_state), (agent, method_state))
     counters = lane.counters.replace(diagnostics=diagnostics)
     learnt = lane.replace(agent=agent, method_state=method_state, counters=counters)
+    if env.has_absorbing_state:
+        learnt = tree_where(lane.env_state.done > 0, lane, learnt)
     return learnt if warmup is False else tree_where(jnp.asarray(warmup), lane, learnt)
 
 
