@@ -70,7 +70,7 @@ class StepEnd(NamedTuple):
     `phase_ended`: the attempt's goal was `reached`, or it hit a `timeout`. `passed`: the state is at the goal of an attempt
     that success does not end. `fault`: the simulation broke, and the step is discarded. `goal_changes`: the environment
     sets another goal. `task_restarts`: the next attempt is at the task, after an intervention or a goal change.
-    `env_reset`: the environment is reset to s0 ~ rho.
+    `env_reset`: the environment is reset to s0 ~ rho, which nothing does once the life has ended.
     """
 
     fault: jax.Array
@@ -106,7 +106,7 @@ def advance_rules(
         phase_ended=phase_ended,
         goal_changes=goal_changes,
         task_restarts=task_restarts,
-        env_reset=intervened | (phase_ended & attempt.reset_at_end),
+        env_reset=(intervened | (phase_ended & attempt.reset_at_end)) & (env_state.done == 0),
     )
 
 
@@ -123,13 +123,13 @@ def count_step(
 ) -> Counters:
     """Return the counters after step number `step`, counted from 1, which led to `env_state` and ended as `end`.
 
-    `earned []` is its reward for the task goal, which does not count after a fault. Nothing resets a life that has ended.
+    `earned []` is its reward for the task goal, which does not count after a fault.
     """
     ended, at_goal = end.phase_ended & attempt.has_goal, (end.reached | end.passed) & attempt.has_goal
     phases = advance_phase_stats(counters.phases, env, env_state, attempt.is_task, ended, at_goal, step, attempt.age)
     return counters.replace(
         window_reward=counters.window_reward + jnp.where(end.fault, 0.0, earned),
-        interventions=counters.interventions + (end.env_reset & (env_state.done == 0)),
+        interventions=counters.interventions + end.env_reset,
         faults=counters.faults + end.fault,
         reached=counters.reached + (phases.reached - counters.phases.reached)[0],
         phases=phases,

@@ -66,6 +66,8 @@ def test_an_intervention_comes_every_horizon_steps_and_restarts_the_task(is_task
         assert step_end(state_at(1), attempt, rules, step) == set()
     for step in (5, 10):
         assert step_end(state_at(1), attempt, rules, step) == RESTART
+        ended = state_at(1).replace(done=jnp.ones(()))
+        assert step_end(ended, attempt, rules, step) == RESTART - {"env_reset"}
     assert step_end(state_at(GOAL), attempt, rules, 5) == {"reached", "phase_ended", "task_restarts", "env_reset"}
 
 
