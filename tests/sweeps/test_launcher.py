@@ -4,6 +4,8 @@ import itertools
 import json
 import os
 import signal
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -203,6 +205,21 @@ def test_options_that_a_sweep_cannot_have_are_refused_before_anything_starts(gri
     with pytest.raises(ValueError, match=message):
         launcher.sweep(grid, tmp_path / "out", **options)
     assert not list(folder.iterdir())
+
+
+def test_a_grid_can_come_from_a_file_at_stdin(grid, tmp_path, monkeypatch):
+    """The worker has a pipe at /dev/stdin, and used to wait for its end."""
+    reply = 'print(json.dumps({"state": "planned", "plan": json.loads(sys.stdin.readline())}))'
+    monkeypatch.setattr(processes, "WORKER", [sys.executable, "-c", f"import json, sys; {reply}"])
+    saved = os.dup(0)
+    with grid.open() as file:
+        os.dup2(file.fileno(), 0)
+    try:
+        plan = launcher.plan_sweep(Path("/dev/stdin"), tmp_path / "out")
+    finally:
+        os.dup2(saved, 0)
+        os.close(saved)
+    assert plan["grid"] == str(grid.resolve())
 
 
 def test_a_dry_run_refuses_what_the_sweep_refuses(grid, tmp_path):
