@@ -189,8 +189,12 @@ FUNCTIONS = frozenset({"init", "pretrain", "act", "ends_phase", "next_goal", "pr
 
 
 def check_method(method: Method) -> None:
-    """Raise an InputError if the learner of `method` is none, or an option of either is invalid or has no effect."""
-    learner = method.learner
+    """Raise an InputError if the learner or the phases of `method` are none, or an option of either is invalid or unused."""
+    learner, phases = method.learner, method.phases
+    if not isinstance(phases, tuple | list) or not phases or not all(isinstance(phase, Phase) for phase in phases):
+        raise InputError(f"{method.name}: phases must be a tuple of one Phase or more, not {brief(phases)}")
+    if type(method).refresh is not Method.refresh and not method.refresh_every:
+        raise InputError(f"{method.name}: refresh is never called; set refresh_every to the steps between two calls")
     require_object("learner", learner, Learner, or_name=False)
     for options in (method, learner):
         check_intervals(method.name, options)

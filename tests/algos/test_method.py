@@ -37,6 +37,20 @@ def test_a_schedule_of_cloning_without_cloning_is_refused():
         check_method(make_algo("naive", cloning_final=0.5))
 
 
+@pytest.mark.parametrize("phases", [(), Phase(), (FORWARD,), lambda self: (Phase(),)])
+def test_phases_that_are_none_are_refused(phases):
+    method = type("Empty", (Method,), {"name": "empty", "phases": phases})()
+    with pytest.raises(InputError, match="empty: phases must be a tuple of one Phase or more, not"):
+        check_method(method)
+
+
+def test_a_refresh_that_is_never_called_is_refused():
+    members = {"name": "idle", "refresh": make_algo("medal").refresh.__func__}
+    with pytest.raises(InputError, match="idle: refresh is never called; set refresh_every"):
+        check_method(type("Idle", (Method,), members)())
+    check_method(type("Idle", (Method,), {**members, "refresh_every": 5})())
+
+
 def test_a_method_has_at_most_eight_functions_and_each_is_overridden_by_two():
     """CFBRL counts, because it is a method of this repository."""
     own = {name for name, value in vars(Method).items() if callable(value) and not name.startswith("_")} - {"replace"}
