@@ -220,12 +220,13 @@ def _train_to_evaluation(
 
 
 def _require_goals(plan: Plan, method: Method, state: TrainState) -> None:
-    """Raise an InputError if a goal that a lane of `state` has from `next_goal` is no index into the goal table."""
-    count = len(plan.problem.goals.table)
-    for indices in gathered(state.lanes.goal_indices):
+    """Raise an InputError if `next_goal` gave a lane of `state` no index into the goal table, or no task goal as its task."""
+    goals = plan.problem.goals
+    for name, indices in gathered(state.lanes.goal_indices)._asdict().items():
+        count = goals.tasks if name == "task" else len(goals.table)
         if ((indices < 0) | (indices >= count)).any():
-            given = f"next_goal returned the indices {brief(indices)}"
-            raise InputError(f"{method.name}: {given} for its lanes; those of this task's goals are 0 to {count - 1}")
+            given = f"next_goal returned the indices {brief(indices)} as the {name} of its lanes"
+            raise InputError(f"{method.name}: {given}; on this task they are 0 to {count - 1}")
 
 
 def _evaluate_runs(

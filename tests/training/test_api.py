@@ -127,6 +127,26 @@ def test_a_goal_outside_the_goal_table_ends_training(first, later):
         train(Chain(), Stray(episode_length=5), seeds=1, steps=20, eval_every=20, eval_episodes=1)
 
 
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (GoalIndices(goal=2, task=2), r"next_goal returned the indices \[2\] as the task of its lanes; .* are 0 to 1"),
+        (1, r"next_goal must return GoalIndices\(goal, task\), not an object of .*Tracer"),
+    ],
+)
+def test_a_task_that_is_no_task_goal_ends_training(returned, message):
+    """The life would earn task reward for reaching an initial state."""
+
+    class Stray(Naive):
+        name = "stray"
+
+        def next_goal(self, key, goals, phase, current, method_state):
+            return jax.tree.map(jnp.asarray, returned)
+
+    with pytest.raises(InputError, match=f"stray: {message}"):
+        train(Chain(), Stray(), seeds=1, steps=20, eval_every=20, eval_episodes=1)
+
+
 def test_the_method_of_a_result_trains_again_under_the_options_that_it_had(tmp_path):
     first = tiny_train("naive", learning_rate=1e-3, out=tmp_path / "run")
     again = train(first.env, first.method, seeds=2, steps=120, eval_every=40, eval_episodes=2)
