@@ -51,13 +51,17 @@ PLOT_STYLES = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}
 
 
 class Point(NamedTuple):
-    """The deployed returns [seeds, E] of the lanes of a `run` on one task with one TD update (`bootstrap`) and horizon."""
+    """A `run` on one task with one TD update (`bootstrap`) and horizon."""
 
     env: str
     bootstrap: bool
     horizon: int
     run: Curves
-    returns: np.ndarray
+
+    @property
+    def returns(self) -> np.ndarray:
+        """The deployed returns [seeds, E]."""
+        return self.run.metrics["deployed/return"]
 
     @property
     def scores(self) -> np.ndarray:
@@ -114,21 +118,20 @@ def report(folders: Sequence[Path]) -> Report:
 
 
 def _arms(runs: Sequence[Curves]) -> Arms:
-    """Return a point per task, update and horizon, in order; the lanes of one run may differ in `timeout_bootstrap`."""
+    """Return a point per task, update and horizon, in order."""
     points: dict[tuple[str, bool, int], Point] = {}
     for curves in runs:
-        config, returns = curves.config, curves.metrics["deployed/return"]
+        config = curves.config
         if config.algo != "naive":
             raise InputError(f"figure 2 is made of runs of naive, not of {config.algo}")
         env, horizon = config.env, config.build_env().train_horizon
         if not horizon:
             raise InputError(f"figure 2 needs resets, and a run on {env} has none: train_horizon=0")
-        updates = np.resize(np.asarray(config.build_method().learner.timeout_bootstrap, bool), len(returns))
-        for update in np.unique(updates).tolist():
-            key = (env, update, horizon)
-            if key in points:
-                raise InputError(f"runs on {env} with H_T {horizon:,}, {UPDATES[update]}, differ in other options")
-            points[key] = Point(*key, curves, returns[updates == update])
+        update = bool(config.build_method().learner.timeout_bootstrap)
+        key = (env, update, horizon)
+        if key in points:
+            raise InputError(f"runs on {env} with H_T {horizon:,}, {UPDATES[update]}, differ in other options")
+        points[key] = Point(*key, curves)
     envs = style.ordered((env for env, _, _ in points), TASKS)
     arms: Arms = {(env, update): [] for env in envs for update in UPDATES}
     for key, point in sorted(points.items()):
@@ -142,17 +145,13 @@ def _run_note(run: Curves) -> str:
     text = f"learner {learner.name}"
     if isinstance(learner, SAC):
         kind = "fixed at" if learner.fixed_temperature else "learnt from"
-        text = f"temperature {kind} {_listed(learner.initial_temperature)}"
+        text = f"temperature {kind} {learner.initial_temperature:g}"
     lengths = f"{run.steps[-1]:,} steps, {_goals_text(run.config)}"
-    return f"- {run.config.env}: {lengths}, {text}, reward scale {_listed(learner.reward_scale)}"
+    return f"- {run.config.env}: {lengths}, {text}, reward scale {learner.reward_scale:g}"
 
 
 def _learner(run: Curves) -> Learner:
     return run.config.build_method().learner
-
-
-def _listed(values: Any) -> str:
-    return ", ".join(f"{value:g}" for value in np.unique(values))
 
 
 def _goals_text(config: RunConfig) -> str:

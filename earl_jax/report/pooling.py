@@ -12,7 +12,7 @@ import numpy as np
 
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import DEFAULT, Window, require_window
-from earl_jax.report.runs import Columns, Curves, by_method, read
+from earl_jax.report.runs import Columns, Curves, by_method, by_values, read
 from earl_jax.report.scores import seed_scores
 from earl_jax.runs.config import DEPLOYED, RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
@@ -66,9 +66,9 @@ def gather(
 ) -> tuple[list[Curves], dict[Path, str]]:
     """Return the curves of the runs that `find_runs` finds, and the causes of those that are left out, by folder.
 
-    Seeds of the same task, method and options are pooled over their common steps, and a seed that ran more than once counts
-    once, by the mean of its runs. A run is left out if it cannot be read or pooled with the earlier ones, or if `check` of
-    the pooled curves raises an error.
+    Seeds of one run are apart where they have other hyper-parameters. Those of the same task, method and options are pooled
+    over their common steps, and a seed that ran more than once counts once, by the mean of its runs. A run
+    is left out if it cannot be read or pooled with the earlier ones, or if `check` of the pooled curves raises an error.
 
     Raises:
         ValueError: a folder does not exist or holds no run, no run can be read, or `window` is no `Window`.
@@ -79,16 +79,16 @@ def gather(
     left_out: dict[Path, str] = {}
     for path in find_runs(folders):
         try:
-            curves = read(path, window)
-            check(curves)
-            key = pooling_key(curves.config)
-            run = curves
-            if key in runs:
-                run = pooled((runs[key], curves))
-                _check_copied(run, curves.seeds)
-                check(run)
-            runs[key] = run
-            pools.setdefault(key, []).append(curves)
+            for curves in by_values(read(path, window)):
+                check(curves)
+                key = pooling_key(curves.config)
+                run = curves
+                if key in runs:
+                    run = pooled((runs[key], curves))
+                    _check_copied(run, curves.seeds)
+                    check(run)
+                runs[key] = run
+                pools.setdefault(key, []).append(curves)
         except Exception as error:  # a folder is data: any error in it is reported and affects no other run
             text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
             left_out[path] = text if str(path) in text else f"{path}: {text}"

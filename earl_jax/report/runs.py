@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from earl_jax.envs import PAPER_TASKS, env_class, make
@@ -15,7 +16,7 @@ from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.options.values import value_text
 from earl_jax.protocol import SETTINGS, Deployment
 from earl_jax.report.style import grouped, method_order, task_order
-from earl_jax.runs.config import RunConfig, deployed_metric
+from earl_jax.runs.config import RunConfig, deployed_metric, method_options
 from earl_jax.runs.contents import METRICS
 from earl_jax.runs.folder import RunFolder
 
@@ -124,6 +125,28 @@ def read(path: Path, window: Window = DEFAULT) -> Curves:
     except InputError as error:  # it names the choices, but not the run
         raise InputError(f"{path}: {error}") from error
     return Curves(folder.config, table.steps, metrics, (folder,), window)
+
+
+def by_values(curves: Curves) -> list[Curves]:
+    """Return the curves of one run, apart for each set of hyper-parameters where its seeds have values of their own.
+
+    They stay together where the class of the method is not known here.
+    """
+    config, folder, lanes = curves.config, curves.runs[0], range(curves.seeds)
+    try:
+        leaves, structure = jax.tree.flatten(config.build_method())
+    except InputError:
+        return [curves]
+    if not any(map(np.ndim, leaves)):
+        return [curves]
+    own = [structure.unflatten([leaf[lane] if np.ndim(leaf) else leaf for leaf in leaves]) for lane in lanes]
+    options = list(map(method_options, own))
+    parts = []
+    for rows in grouped(lanes, lambda lane: str(options[lane])).values():
+        part = dataclasses.replace(config, options=options[rows[0]], seeds=[config.seeds[row] for row in rows])
+        metrics = Columns(folder.path, {name: values[rows] for name, values in curves.metrics.items()})
+        parts.append(curves._replace(config=part, metrics=metrics, runs=(dataclasses.replace(folder, config=part),)))
+    return parts
 
 
 def common_step(first: Curves, second: Curves, share: float = 1.0) -> int | None:

@@ -232,8 +232,10 @@ def method_options(method: Method) -> dict[str, Any]:
     options = {} if learner is type(default.learner) else {"learner": learner.name}
     for part, other in ((method.learner, preset_learner(type(method), learner)), (method, default)):
         for field in dataclasses.fields(part):
-            plain = _plain(getattr(part, field.name))
-            if field.name != "learner" and plain != getattr(other, field.name):
+            plain, usual = _plain(getattr(part, field.name)), getattr(other, field.name)
+            if isinstance(usual, bool) and isinstance(plain, float):
+                plain = bool(plain)  # lanes have flags as numbers
+            if field.name != "learner" and plain != usual:
                 options[field.name] = plain
     return options
 

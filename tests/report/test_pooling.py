@@ -20,6 +20,20 @@ def test_runs_of_another_class_with_the_name_of_a_method_are_kept_apart_and_labe
     assert labels(read_all(paths)) == ["naive", "naive (algo_class=lab.methods:Naive)"]
 
 
+def test_seeds_of_one_run_that_have_values_of_their_own_are_apart(tmp_path):
+    scores = rising(4, 2)
+    write_run(
+        tmp_path / "lists", TABLETOP, "naive", scores, learning_rate=[3e-4, 1e-3] * 2, timeout_bootstrap=[True] * 4
+    )
+    write_run(tmp_path / "one", TABLETOP, "naive", scores[:1], seeds=(8,), learning_rate=1e-3, timeout_bootstrap=True)
+    default, larger = read_all([tmp_path])
+    assert labels([default, larger]) == ["naive (learning_rate=3e-4)", "naive (learning_rate=0.001)"]
+    assert (default.run_seeds, larger.run_seeds) == ([0, 2], [1, 3, 8])
+    np.testing.assert_allclose(larger.metrics["deployed/success"], scores[[1, 3, 0]])
+    [flags] = read_all([write_run(tmp_path / "flags", TABLETOP, "fbrl", scores, timeout_bootstrap=[0, 0, 0, 1])])[1:]
+    assert flags.config.options == {"timeout_bootstrap": True}
+
+
 def test_pooled_runs_have_the_later_metrics_that_all_of_them_have_in_any_order(tmp_path):
     more = {"continuing/alive": 1, "critic_loss": 0.1, "interventions": 3}
     wide = {"a": {"deployed/success_wide": 0.25, **more}, "b": {"deployed/success_wide": 0.5}, "c": {}}

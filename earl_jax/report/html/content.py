@@ -47,7 +47,7 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
 
 
 def _summary(lines: Sequence[Line], versions: dict[str, list[str]]) -> dict[str, str]:
-    runs = sum(len(line.curves.runs) for line in lines)
+    runs = len({run.path for line in lines for run in line.curves.runs})
     seeds = sum(len(line.seeds) for line in lines)
     steps = sum(int(line.curves.steps[-1]) * len(line.curves.run_seeds) for line in lines)
     return {

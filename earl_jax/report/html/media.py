@@ -46,7 +46,8 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
         visits = []
         for run in line.curves.runs:
             try:
-                counts = np.asarray(load_visits(run)[1])
+                whole = RunFolder.open(run.path)  # the run of a line has the seeds of the line alone
+                counts = np.asarray(load_visits(whole)[1])[np.isin(whole.config.seeds, run.config.seeds)]
                 if visits and counts.shape[1:] != visits[0].shape[1:]:
                     raise InputError(
                         f"{run.path} has maps of {len(counts[0])} bins, another run of {len(visits[0][0])}"
@@ -101,7 +102,7 @@ class PolicyVideos:
         if not run.policies.exists():
             return Film(None, problem=f"it has no {POLICIES}")
         status = run.policies.stat()
-        version = (run.path, status.st_size, status.st_mtime_ns)
+        version = (run.path, run.config.seeds, status.st_size, status.st_mtime_ns)
         if version not in self._films:
             self._emit(f"rendering the policy of {run.path}")
             lower_median = int(np.argsort(scores, kind="stable")[(len(scores) - 1) // 2])
@@ -119,7 +120,7 @@ class PolicyVideos:
         try:
             caption = f"policy of seed {seeds[lane]}{median}, at step {policies_step(run.policies):,}"
             steps = round(SECONDS / view_of(run.config.build_env()).dt)
-            render(run.path, file, "policy", seed=lane, steps=steps, size=SIZE, fps=FPS)
+            render(run.path, file, "policy", seed=seeds[lane], steps=steps, size=SIZE, fps=FPS)
         except Exception as error:  # a folder is data: any error in it is reported and affects nothing else
             return Film(None, problem=_cause(error))
         return Film(file, caption)

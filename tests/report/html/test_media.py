@@ -68,7 +68,7 @@ def test_a_page_has_the_policy_of_the_median_seed_which_is_rendered_once(run, re
     assert [(video.name, video.problem) for video in shown] == [(name, "") for name in names]
     assert all(video.uri.startswith("data:video/mp4;base64,") for video in shown)
     steps = round(6 / make(TABLETOP).view.dt)
-    assert rendered == [(run, "policy", 1, steps), (other, "policy", 3, steps)]
+    assert rendered == [(run, "policy", 1, steps), (other, "policy", 6, steps)]
     assert len(told) == 2
     (run / "policies.npz").write_text("30000")
     assert [video.name.partition(", at ")[2] for video in videos(lines, policies)] == ["step 30,000", "step 20"]
@@ -92,21 +92,38 @@ def test_a_run_without_a_video_is_named_with_the_cause(run, rendered, monkeypatc
 
 
 def test_maps_are_shares_of_visits_on_a_common_scale(run, monkeypatch):
-    visits = np.zeros((2, 4, 4), int)
+    visits = np.zeros((3, 4, 4), int)
     visits[0, 3, 0], visits[1, 1, 1] = 3, 1
     monkeypatch.setattr(media, "load_visits", lambda folder: (make(TABLETOP), visits))
     [drawn], sentences = maps(read_lines(run))
     assert sentences == []
     plot = drawn["plot"]
     assert plot["shares"][:2] == [[None, None, None, 0.75], [None, 0.25, None, None]]
-    assert (plot["ends"], plot["unit"], drawn["covered"]) == ([0.25, 0.75], "table units", 1 / 16)
+    assert (plot["ends"], plot["unit"], drawn["covered"]) == ([0.25, 0.75], "table units", 1 / 24)
     np.testing.assert_allclose(plot["bounds"], make(TABLETOP).map.bounds)
+
+
+def _ones(run, bins):
+    return np.ones((len(run.config.seeds), bins, bins), int)
+
+
+def test_the_seeds_of_one_run_that_have_values_of_their_own_have_maps_and_videos_apart(tmp_path, rendered, monkeypatch):
+    scores = constant(0.9, 0.1, 0.5)
+    run = write_page_run(tmp_path / "run", "fbrl", scores, seeds=(4, 5, 6), learning_rate=[1e-3, 1e-4, 1e-3])
+    (run / "policies.npz").write_text("20")
+    monkeypatch.setattr(media, "load_visits", lambda run: (make(TABLETOP), np.eye(9, dtype=int)[:3].reshape(3, 3, 3)))
+    lines = read_lines(run)
+    assert [line.seeds for line in lines] == [(4, 6), (5,)]
+    videos(lines, PolicyVideos())
+    assert [seed for _, _, seed, _ in rendered] == [6, 5]
+    shares = [[share for row in drawn["plot"]["shares"] for share in row if share] for drawn in maps(lines)[0]]
+    assert shares == [[0.5, 0.5], [1.0]]
 
 
 def test_maps_of_another_size_are_left_out(run, monkeypatch):
     other = write_page_run(run.parent / "other", "fbrl", rising(2, 2), seeds=(7, 8))
     sizes = {run: 4, other: 8}
-    monkeypatch.setattr(media, "load_visits", lambda run: (make(TABLETOP), np.ones((2, *[sizes[run.path]] * 2), int)))
+    monkeypatch.setattr(media, "load_visits", lambda run: (make(TABLETOP), _ones(run, sizes[run.path])))
     [drawn], [sentence] = maps(read_lines(run, other))
     assert len(drawn["plot"]["shares"]) == 4
     assert sentence == f"No map of fbrl: {other} has maps of 8 bins, another run of 4."
