@@ -97,14 +97,17 @@ def reproduce(
     check_folder(out)
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.toml"
-    earlier = file.read_bytes() if file.is_file() else text
+    earlier = file.read_bytes() if file.is_file() else None
     write_atomically(file, text)
     try:
         outcome = sweep(
             file, out / "runs", max_lanes=max_lanes, devices=devices, per_device=per_device, emit=emit, minutes=limit
         )
     except InputError:  # nothing has started
-        write_atomically(file, earlier)
+        if earlier is None:
+            file.unlink()
+        else:
+            write_atomically(file, earlier)
         raise
     if outcome.unfinished:
         emit(f"{name} is not written; unfinished runs: {', '.join(outcome.unfinished)}")

@@ -92,7 +92,7 @@ def check_options(
 ) -> dict[str, str]:
     """Return the options of sbatch, after a check of the options of `sweep` against each other. Errors as `sweep`."""
     require_known("launcher", launcher, LAUNCHERS)
-    is_count = per_device in (None, "auto", *range(1, MOST + 1))
+    is_count = per_device in (None, "auto", *range(1, MOST + 1)) and per_device is not True
     if devices is not None:
         require("devices", devices, COUNT)
     for is_wrong, message in (

@@ -190,6 +190,7 @@ def test_a_worker_that_cannot_start_ends_the_sweep_with_the_error(grid, workers,
     [
         ({"per_device": 0}, "must be auto, or a number from 1 to 48, not 0"),
         ({"per_device": "many"}, "must be auto, or a number from 1 to 48, not many"),
+        ({"per_device": True}, "must be auto, or a number from 1 to 48, not True"),
         ({"per_device": 1.5}, "must be auto, or a number from 1 to 48, not 1.5"),
         ({"devices": 0}, "devices must lie in .1, 2147483647., not 0"),
         ({"max_lanes": 0}, "max_lanes must lie in .1, 2147483647., not 0"),
