@@ -194,7 +194,7 @@ def finish_step(
     phase = jnp.where(end.task_restarts, TASK, phase)
     goal_indices = _next_goals(problem, method, lane, phase, keys.goal, end)
     following = env.with_goal(reset_where(end.env_reset, env, keys.reset, env_state), table[goal_indices.goal])
-    transition = _transition(problem, method, lane, action, env_state, following, end)
+    transition = _transition(problem, lane, action, env_state, following, end)
     moved = lane.replace(
         env_state=following,
         phase=phase,
@@ -226,26 +226,18 @@ def _attempt(
 
 
 def _transition(
-    problem: Problem,
-    method: Method,
-    lane: LaneState,
-    action: jax.Array,
-    env_state: State,
-    following: State,
-    end: StepEnd,
+    problem: Problem, lane: LaneState, action: jax.Array, env_state: State, following: State, end: StepEnd
 ) -> Transition:
     """Return the transition that the replay stores for a step to `env_state`; training continues from `following`."""
-    absorbed = env_state.done > 0
     flags = TransitionFlags(
         goal=lane.goal_indices.goal,
         reached=end.reached,
         timeout=end.timeout,
         no_successor=end.env_reset,
-        absorbed=absorbed,
+        absorbed=env_state.done > 0,
         passed=end.passed,
     )
-    effective_horizon = jnp.where(absorbed, 1.0 / (1.0 - method.learner.discount), 1.0)
-    reward = jnp.where(end.fault, 0.0, env_state.reward * effective_horizon)
+    reward = jnp.where(end.fault, 0.0, env_state.reward)
     return Transition(action, following.obs[: problem.env.state_size], reward, flags)
 
 

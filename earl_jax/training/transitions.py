@@ -53,11 +53,11 @@ def attempts(env: Env, replay: Replay, lane: int, steps: int) -> tuple[Demos, np
     had_ended = np.append(before, absorbed[:-1])
     goals, states = goal_table(env).table[goal], replay.state[rows, lane]
     following = np.where(reset[:, None], states, replay.state[np.asarray(replay.successor(jnp.asarray(rows))), lane])
-    rewards = reached.astype(np.float32) if env.sparse else replay.reward[rows, lane]
-    recomputed = ~reset if env.sparse else absorbed  # stored scaled by the steps that a life's end stands for
-    if recomputed.any():
-        obs = np.concatenate([following, goals], axis=1)[recomputed]
-        rewards[recomputed] = env.reward(jnp.asarray(obs))
+    if env.sparse:
+        obs = np.concatenate([following, goals], axis=1)
+        rewards = np.where(reset, reached, env.reward(jnp.asarray(obs))).astype(np.float32)
+    else:
+        rewards = replay.reward[rows, lane]
     number = np.cumsum(reached | timeout | absorbed)
     attempt = np.append(0, number[:-1])
     kept = ~(reset & ~reached) & ~had_ended

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from earl_jax.algos import SAC, Method
+from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner.replay import sample_own, unpack
 from earl_jax.algos.method import RETURN, TASK
 from earl_jax.envs import make
@@ -159,7 +160,9 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
         return scan.run_steps(problem, method, init_train_state(problem, method, keys, 4), 4)
 
     for message, function in {
-        r"next_goal returns must be index\[\], not float32\[1\]": {"next_goal": lambda *_: [jnp.zeros(1)]},
+        r"next_goal returns must be index\[\], not float32\[1\]": {
+            "next_goal": lambda *_: GoalIndices(*[jnp.zeros(1)] * 2)
+        },
         r"ends_phase returns must be bool\[\], not int32\[\]": {"ends_phase": lambda *_: 2},
         r"ends_phase returns must be bool\[\], not None": {"ends_phase": lambda *_: None},
         r"the reward .*, not float32\[16, 1\]": {"prepare": lambda *of: of[4]._replace(reward=of[4].reward[:, None])},

@@ -63,13 +63,11 @@ def test_the_newest_transitions_of_a_ring_are_in_their_order(env):
 
 @pytest.mark.parametrize("rewards", ["sparse", "dense"])
 def test_a_life_ends_at_its_absorbing_state_with_the_reward_of_one_step(rewards):
-    absorbed = {} if rewards == "sparse" else {"absorbed_reward": -2.0}
-    env = HelpBudget(make("tabletop_organization", reward_type=rewards), budget=5.0, **absorbed)
+    env = HelpBudget(make("tabletop_organization", reward_type=rewards), budget=5.0)
     steps, terminal = attempts(env, replay_of(env, absorbed=[6, 7, 8, 9]), 1, STEPS)
     assert numbers(steps.states) == [0, 1, 2, 3, 4, 5, 6]
     assert (np.flatnonzero(steps.ends).tolist(), np.flatnonzero(terminal).tolist()) == ([6], [6])
-    stored = [] if rewards == "sparse" else [FIRST + step for step in range(6)]
-    assert steps.rewards.tolist() == [*(stored or [0] * 6), env.absorbed_reward]
+    assert steps.rewards.tolist() == ([0] * 7 if rewards == "sparse" else [FIRST + step for step in range(7)])
 
 
 @pytest.mark.parametrize(
