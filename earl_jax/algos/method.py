@@ -143,7 +143,8 @@ class Method(OptionsNode):
     ) -> jax.Array:
         """Return whether the phase times out after this step, bool []; by default after its `length`.
 
-        `obs [o]` is the observation before the step, `agent` the controller that acted, without a leading axis.
+        `obs [o]` is the observation before the step, and `agent` has a leading controller axis; see
+        `select_controller` and `controller_of`.
         """
         lengths = [env.eval_horizon if phase.length is None else phase.length for phase in self.phases]
         return moment.phase_step + 1 >= of_phase(lengths, moment.phase)
@@ -218,6 +219,11 @@ def controller_of(method: Method, phase: jax.Array) -> jax.Array:
     """Return the index of the controller that acts in `phase`."""
     index = of_phase([phase.controller for phase in method.phases], phase)
     return jax.numpy.broadcast_to(jax.numpy.asarray(index, jax.numpy.int32), jax.numpy.shape(phase))
+
+
+def select_controller(agent: Any, index: jax.Array) -> Any:
+    """Return one controller of `agent`, or of a part of it, without the leading axis; a stack of one needs no gather."""
+    return jax.tree.map(lambda leaf: leaf[0] if leaf.shape[0] == 1 else leaf[index], agent)
 
 
 def kept_transitions(method: Method) -> int | None:

@@ -9,7 +9,7 @@ from flax import struct
 from earl_jax.algos.fbrl import FBRL
 from earl_jax.algos.learner.base import Learner
 from earl_jax.algos.learner.sac import SAC
-from earl_jax.algos.method import Moment
+from earl_jax.algos.method import Moment, controller_of, select_controller
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
 from earl_jax.options.values import within
@@ -68,7 +68,8 @@ class RISC(FBRL):
             return expired
         value_key, draw_key = jax.random.split(key)
         count = moment.phase_step + 1
-        chance = self.success_chance(value_key, agent, obs) * (1 - self.conservative_factor**count)
+        acting = select_controller(agent, controller_of(self, moment.phase))
+        chance = self.success_chance(value_key, acting, obs) * (1 - self.conservative_factor**count)
         late = count >= self.earliest_switch * env.eval_horizon
         return expired | (late & (jax.random.uniform(draw_key) < self.switch_share * chance))
 

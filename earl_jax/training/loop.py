@@ -15,7 +15,16 @@ from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.base import Batch, Learner
 from earl_jax.algos.learner.replay import Transition, TransitionBatch, TransitionFlags
-from earl_jax.algos.method import TASK, Method, Moment, controller_count, controller_of, kept_transitions, of_phase
+from earl_jax.algos.method import (
+    TASK,
+    Method,
+    Moment,
+    controller_count,
+    controller_of,
+    kept_transitions,
+    of_phase,
+    select_controller,
+)
 from earl_jax.envs import Map, State
 from earl_jax.envs.checks import require_result
 from earl_jax.envs.state import tree_where
@@ -108,7 +117,7 @@ def act_and_start(
         action = _random_action(problem, key)
     else:
         stacked, controller = before_update((lane.agent.actor, controller_of(method, lane.phase)))
-        actor = before_update(_controller(stacked, controller))
+        actor = before_update(select_controller(stacked, controller))
         action = method.act(key, problem.env, actor, lane.env_state.obs, _moment(lane, step), lane.method_state)
         action = jnp.asarray(action, jnp.float32)
         action = action if warmup is False else jnp.where(warmup, _random_action(problem, key), action)
@@ -149,7 +158,7 @@ def learn(
     size = batch.action.shape[:1]
     for name in ("reward", "terminal"):
         require_result(f"{method.name}: the {name} from prepare", getattr(batch, name), size, "number")
-    agent = _controller(lane.agent, controller)
+    agent = select_controller(lane.agent, controller)
     agent, method_state, diagnostics = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
     counters = lane.counters.replace(diagnostics=diagnostics)
@@ -210,9 +219,8 @@ def _attempt(
     problem: Problem, method: Method, lane: LaneState, earned: jax.Array, key: jax.Array, step: jax.Array
 ) -> Attempt:
     """Return the attempt of a step whose reward for the task goal is `earned []`."""
-    agent, obs = _controller(lane.agent, controller_of(method, lane.phase)), lane.env_state.obs
     key, moment = jax.random.fold_in(key, 2), _moment(lane, step)
-    expires = method.ends_phase(key, problem.env, agent, obs, moment, lane.method_state)
+    expires = method.ends_phase(key, problem.env, lane.agent, lane.env_state.obs, moment, lane.method_state)
     require_result(f"{method.name}: what ends_phase returns", expires, (), "bool")
     return Attempt(
         is_task=lane.phase == TASK,
@@ -274,11 +282,6 @@ def _count_visit(task_map: Map, visits: jax.Array, obs: jax.Array) -> jax.Array:
 
 def _moment(lane: LaneState, step: jax.Array) -> Moment:
     return Moment(step, lane.phase, lane.phase_step, lane.key)
-
-
-def _controller(stacked: Any, index: jax.Array) -> Any:
-    """Return one controller of a stacked tree; a stack of one needs no gather."""
-    return jax.tree.map(lambda leaf: leaf[0] if leaf.shape[0] == 1 else leaf[index], stacked)
 
 
 def _with_controller(stacked: Any, single: Any, index: jax.Array) -> Any:

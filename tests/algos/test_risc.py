@@ -38,6 +38,7 @@ def switch_share(env):
         critics = jax.tree.map(lambda leaf: leaf.at[SOFT_CRITICS:].set(0.0), agent.critics["params"])
         bias = critics["hidden_1"]["bias"].at[SOFT_CRITICS:].set(value)
         own = agent.replace(critics={"params": {**critics, "hidden_1": {**critics["hidden_1"], "bias": bias}}})
+        own = jax.tree.map(lambda leaf: leaf[None], own)
         return jax.vmap(lambda key: method.ends_phase(key, env, own, OBS, moment(count - 1), ()))(KEYS).mean()
 
     return lambda value, count, **options: float(share(make_algo("risc", hidden_sizes=[16], **options), value, count))
@@ -47,10 +48,11 @@ def test_a_phase_that_the_method_ends_is_stored_as_a_time_out(problem):
     class Impatient(FBRL):
         """Leaves every phase after five steps."""
 
-        controllers: int = struct.field(pytree_node=False, default=1)
+        controllers: int = struct.field(pytree_node=False, default=2)
         name = "impatient"
 
         def ends_phase(self, key, env, agent, obs, moment, method_state):
+            assert {len(leaf) for leaf in jax.tree.leaves(agent)} == {2}, "both controllers"
             return moment.phase_step + 1 >= 5
 
     method = per_lane(Impatient(tiny_method("fbrl").learner, fixed_phases=True), 2)
