@@ -72,6 +72,8 @@ def test_a_phase_that_the_method_ends_is_stored_as_a_time_out(problem):
 def test_risc_never_switches_early_or_in_dense_tasks_or_without_switching(env, switch_share):
     assert [switch_share(10.0, count) for count in (99, 100)] == [0.0, 1.0]
     assert switch_share(10.0, 149, earliest_switch=0.75) == 0.0
+    at_60 = {"earliest_switch": 0.3, "conservative_factor": 0.5}
+    assert [switch_share(10.0, count, **at_60) for count in (59, 60)] == [0.0, 1.0]
     for method, task in (
         (make_algo("risc"), dataclasses.replace(env, reward_type="dense")),
         (make_algo("risc", switching=False), env),
