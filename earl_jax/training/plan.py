@@ -61,7 +61,7 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
     """Return the plan of a program with `lanes` lanes on `devices` devices, as in `lane_mesh`.
 
     A `RunWarning` says so if the method learns in none of the `steps`, if the chunks make its refreshes more frequent, or
-    if options for demonstrations have no effect.
+    if options for demonstrations or cloning have no effect.
 
     Raises:
         ValueError: `steps` is no multiple of the protocol's `eval_every`, a task lacks the demonstrations that a method
@@ -94,6 +94,8 @@ def _surprises(problem: Problem, method: Method, steps: int, chunk: int) -> Iter
     if unused and not len(demo_rows(problem, method).rows):
         names, where = " and ".join(unused), f"{method.name} has no demonstrations on {problem.env.name}"
         yield f"{names} without effect: {where}"
+    if not learner.pretrain_steps and getattr(learner, "pretrain_log_std", None) is not None:
+        yield "pretrain_log_std without effect: pretrain_steps is 0"
 
 
 def _is_positive(option: Any) -> bool:

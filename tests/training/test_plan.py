@@ -64,6 +64,8 @@ def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_the
         ("fish_swim", "naive", {"demo_share": 0.5, "cloning": 1.0}, {"demo_share": 0, "cloning": 0},
          "demo_share and cloning without effect: naive has no demonstrations on fish_swim"),
         ("fish_swim", "naive", {"demo_share": [0.0, 0.5]}, {"demo_share": [0.0, 0.0]}, "demo_share without effect"),
+        ("tabletop_organization", "naive", {"pretrain_log_std": [-2.0, -1.0]}, {"pretrain_log_std": -2.0, "pretrain_steps": 1},
+         "pretrain_log_std without effect: pretrain_steps is 0"),
     ],
 )  # fmt: skip
 def test_what_the_options_of_a_run_do_not_say_is_warned_of(task, algo, options, changes, message):
