@@ -22,7 +22,7 @@ from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, EPISODES, check_intervals, within
 
 EVALUATION_KEY = 2
-"""Folded into a lane's key for the evaluation, which neither changes nor repeats the randomness of the life."""
+"""Folded into a lane's key for the evaluation, which does not change the randomness of the life."""
 
 
 class Rules(NamedTuple):
