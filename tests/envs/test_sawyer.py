@@ -61,6 +61,20 @@ def test_peg_starts_cover_the_released_positions():
         make("sawyer_peg", wide=True, listed=True)
 
 
+@pytest.mark.parametrize("released", [DOOR, PEG])
+def test_a_task_that_starts_at_its_goal_has_the_released_starts_as_goals_at_every_draw(released):
+    env = dataclasses.replace(released, reset_at_goal=True)
+    np.testing.assert_array_equal(env.goal_states, released.initial_states)
+    np.testing.assert_array_equal(env.initial_states, released.goal_states)
+    at_reset, drawn = starts(env).info["goal"], starts(env, "sample_goal")
+    assert set(map(tuple, at_reset.tolist())) == set(map(tuple, drawn.tolist()))
+    assert env.map.goals is None or not (env.map.goals == env.map.starts).any()
+    first = next(iter(env.demonstrations.script.starts(0)))
+    for start in (first.forward, first.backward and env.with_goal(first.backward, first.backward_goal)):
+        assert start is None or not start.metrics["success"]
+        assert start is None or not env.success(start.obs)
+
+
 @pytest.mark.parametrize("option", ["listed", "wide"])
 def test_backward_demonstrations_start_inserted_whatever_the_tasks_starts(option):
     start = next(iter(make("sawyer_peg", **{option: True}).demonstrations.script.starts(0)))

@@ -80,6 +80,10 @@ class Sawyer(MujocoEnv):
     """Number of scripted demonstrations in each direction, as in the paper's table."""
     radius: ClassVar[dict[str, float]]
     """Largest distance [m] of the object to its goal that counts as success, for each variant."""
+    released_goals: ClassVar[np.ndarray]
+    """The goals [G, 7] as released."""
+    released_starts: ClassVar[np.ndarray]
+    """The initial states [I, 7] as released."""
     object_low: ClassVar[np.ndarray]
     object_high: ClassVar[np.ndarray]
     """The box [m] of the object's positions; outside it, the simulation broke."""
@@ -92,6 +96,16 @@ class Sawyer(MujocoEnv):
     @property
     def state_size(self) -> int:
         return len(self.observed_indices)
+
+    @property
+    def goal_states(self) -> np.ndarray:
+        """Task goals; with `reset_at_goal` these are the released initial states, as in `reset`."""
+        return (self.released_starts if self.reset_at_goal else self.released_goals)[:, self.observed_indices]
+
+    @property
+    def initial_states(self) -> np.ndarray:
+        """Representative states of rho; with `reset_at_goal` these are the released goals."""
+        return (self.released_goals if self.reset_at_goal else self.released_starts)[:, self.observed_indices]
 
     @property
     @abc.abstractmethod

@@ -78,23 +78,17 @@ class SawyerDoor(Sawyer):
     continuing: ClassVar[ContinuingDefaults] = ContinuingDefaults(600, train_horizon=50_000)
     demo_count: ClassVar[int] = 5
     radius: ClassVar[dict[str, float]] = {"released": 0.02, "paper": 0.08}
+    released_goals: ClassVar[np.ndarray] = np.concatenate([CLOSED, [np.float32(1.0)], CLOSED])[None]
+    released_starts: ClassVar[np.ndarray] = START[None]
     object_low: ClassVar[np.ndarray] = np.array([-0.2, 0.4, 0.05], np.float32)
     object_high: ClassVar[np.ndarray] = np.array([0.35, 0.85, 0.15], np.float32)
-
-    @property
-    def goal_states(self) -> np.ndarray:
-        return np.concatenate([CLOSED, [np.float32(1.0)], CLOSED])[None, self.observed_indices]
-
-    @property
-    def initial_states(self) -> np.ndarray:
-        return START[None, self.observed_indices]
 
     @property
     def pose(self) -> Pose:
         return AT_HANDLE if self.reset_at_goal else HOME
 
     def reset(self, key: jax.Array) -> State:
-        goal = jnp.asarray(self.initial_states if self.reset_at_goal else self.goal_states)[0]
+        goal = jnp.asarray(self.goal_states)[0]
         noise = jax.random.uniform(key, maxval=NOISE if self.door_noise else 0.0)
         angle = -noise if self.reset_at_goal else OPEN + noise
         return self.start_at(angle[None], handle_at(angle), goal)

@@ -90,6 +90,10 @@ class SawyerPeg(Sawyer):
     demo_count: ClassVar[int] = 10
     pose: ClassVar[Pose] = HOME
     radius: ClassVar[dict[str, float]] = {"released": RADIUS, "paper": RADIUS}
+    released_goals: ClassVar[np.ndarray] = np.concatenate([np.array([0.0, 0.6, 0.2, 1.0], np.float32), INSERTED])[None]
+    released_starts: ClassVar[np.ndarray] = np.array(
+        [[*HOME.hand, HOME.grip, *head, LOW[2]] for head in HEADS], np.float32
+    )
     object_low: ClassVar[np.ndarray] = np.array([-0.8, 0.2, -0.02], np.float32)
     object_high: ClassVar[np.ndarray] = np.array([0.6, 1.0, 0.7], np.float32)
 
@@ -98,20 +102,9 @@ class SawyerPeg(Sawyer):
         if self.listed + self.wide + self.reset_at_goal > 1:
             raise InputError("listed, wide and reset_at_goal are different starts: choose one of them")
 
-    @property
-    def goal_states(self) -> np.ndarray:
-        return np.concatenate([np.array([0.0, 0.6, 0.2, 1.0], np.float32), INSERTED])[None, self.observed_indices]
-
-    @property
-    def initial_states(self) -> np.ndarray:
-        arm = np.tile(np.array([*HOME.hand, HOME.grip], np.float32), (len(HEADS), 1))
-        height = np.full((len(HEADS), 1), LOW[2])
-        return np.concatenate([arm, HEADS, height], axis=1)[:, self.observed_indices]
-
     def reset(self, key: jax.Array) -> State:
         start_key, goal_key = jax.random.split(key)
-        goals = self.initial_states if self.reset_at_goal else self.goal_states
-        return self._start_with_peg(self._peg_start(start_key), random_row(goal_key, goals))
+        return self._start_with_peg(self._peg_start(start_key), random_row(goal_key, self.goal_states))
 
     def _listed_start(self, key: jax.Array, number: jax.Array) -> State:
         """Return the start with that `number []` in the published list."""
@@ -145,7 +138,7 @@ class SawyerPeg(Sawyer):
 
     def _backward_demo_start(self, key: jax.Array) -> State:
         """Return the start of a backward demonstration: peg inserted, arm in its reset pose, as published."""
-        return dataclasses.replace(self, listed=False, wide=False, reset_at_goal=True).reset(key)
+        return dataclasses.replace(self, listed=False, wide=False, reset_at_goal=not self.reset_at_goal).reset(key)
 
     def _peg_start(self, key: jax.Array) -> jax.Array:
         """Return a random start [3] of the middle of the peg."""
@@ -175,12 +168,12 @@ class SawyerPeg(Sawyer):
 
     @property
     def map(self) -> Map:
-        """The positions of the peg's head, with those at a start and that of the head of the inserted peg."""
+        """The positions of the peg's head, with those at a start and at the goals."""
         return Map(
             position=lambda obs: self.object_in(obs)[..., :2],
             bounds=np.stack([self.object_low[:2], self.object_high[:2]]),
             starts=self._start_heads(),
-            goals=INSERTED[None, :2],
+            goals=self.goal_states[:, -3:-1],
         )
 
     def _start_heads(self) -> np.ndarray:
