@@ -53,8 +53,8 @@ class TaskDemos:
     """Returns the action [a] of a scripted controller that reaches the goal in an observation [s + g]."""
     script: DemoScript | None = None
     state_at: Callable[[jax.Array, jax.Array], State] | None = None
-    """Returns a state with the state vector [s] and the goal [g], to replay a demonstration from; None if the task can
-    only start from `reset`."""
+    """Returns a state with the state vector [s] and the goal [g], to replay a forward demonstration from: an arm is in its
+    reset pose. None if the task can only start from `reset`."""
 
     def __post_init__(self):
         """Give `expert` and `state_at` the package's types, as `Env.reset` and `Env.step` have them."""

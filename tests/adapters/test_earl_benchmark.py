@@ -153,6 +153,17 @@ def test_a_door_can_start_at_its_goal():
     assert np.linalg.norm(eval_env.reset()[4:7] - closed[4:]) > 0.2
 
 
+def test_a_peg_that_starts_inserted_draws_initial_states_and_the_current_reward_is_that_of_the_step():
+    loader = earl_benchmark.EARLEnvs("sawyer_peg", reward_type="dense", reset_train_env_at_goal=True)
+    env, goals = loader.get_envs()[0], loader.get_initial_states()
+    env.reset()
+    obs, reward, _, _ = env.step(np.zeros(4))
+    assert env.compute_reward() == pytest.approx(reward, rel=1e-6)
+    assert abs(env.compute_reward(obs) - reward) > 1e-4
+    for goal in (obs[7:], env.get_next_goal(), env.reset_goal()[7:]):
+        assert (goals == goal).all(axis=1).any()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

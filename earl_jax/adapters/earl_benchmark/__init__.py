@@ -109,7 +109,8 @@ class EARLEnvs:
 
         Each has float32 `observations [T, s + g]`, `actions [T, a]`, `rewards [T, 1]`, `next_observations [T, s + g]`
         and bool `terminals [T, 1]`, true on the last transition of each demonstration. They come from the tasks'
-        scripts, not from the original's recordings; `demo_file` gives others (`earl-jax import-demos`).
+        scripts, not from the original's recordings; `demo_file` gives others (`earl-jax import-demos`). The rewards are
+        sparse, as recorded, whatever the `reward_type` or `variant`; the original's are so, too.
 
         Raises:
             ValueError: the task has none (the original prints a line and returns None).

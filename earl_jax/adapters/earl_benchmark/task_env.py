@@ -68,11 +68,14 @@ class TaskEnv:
         return self._evaluate("success", obs)
 
     def compute_reward(self, obs: np.ndarray | None = None) -> Any:
-        """Return the reward of arriving in `obs [..., s + g]`, or in the current state: a number, or [...].
+        """Return the reward of arriving in `obs [..., s + g]`, or that of the current state: a number, or [...].
 
-        Errors as `is_successful`.
+        The latter is exact, as in `step`, also where a dense reward depends on more than `obs`. Errors as `is_successful`.
         """
-        return self._evaluate("reward", obs)
+        if obs is not None:
+            return self._evaluate("reward", obs)
+        state = self._env.state.env_state
+        return jitted(self._env.session.env, "goal_reward")(state, state.info["goal"]).item()
 
     def _evaluate(self, name: str, obs: np.ndarray | None) -> Any:
         current = np.asarray(self._env.state.env_state.obs if obs is None else obs, np.float32)
