@@ -75,6 +75,15 @@ def test_a_task_that_starts_at_its_goal_has_the_released_starts_as_goals_at_ever
         assert start is None or not env.success(start.obs)
 
 
+def test_the_dense_reward_of_a_pegs_start_counts_the_fingers_around_it_as_a_step_at_rest_does():
+    env = make("sawyer_peg", reward_type="dense")
+    state = starts(env)
+    still = jnp.broadcast_to(jnp.array([0.0, 0.0, 0.0, -1.0]), (len(state.reward), 4))
+    after = np.asarray(jax.jit(jax.vmap(env.step))(state, still).reward)
+    np.testing.assert_allclose(state.reward, after, atol=0.01)
+    assert np.asarray(state.reward).mean() == pytest.approx(after.mean(), rel=0.05)
+
+
 @pytest.mark.parametrize("option", ["listed", "wide"])
 def test_backward_demonstrations_start_inserted_whatever_the_tasks_starts(option):
     start = next(iter(make("sawyer_peg", **{option: True}).demonstrations.script.starts(0)))

@@ -120,8 +120,10 @@ class SawyerPeg(Sawyer):
         return dataclasses.replace(self, listed=False, wide=True).reset(key)
 
     def _start_with_peg(self, peg: jax.Array, goal: jax.Array) -> State:
-        """Return a start state with the middle of the peg at `peg [3]`."""
-        return self.start_at(peg, peg + HEAD, goal, start=peg, grasp=jnp.zeros(()))
+        """Return a start state with the middle of the peg at `peg [3]`; its reward is that without effort."""
+        side = np.array([0.0, OPENING / 2, 0.0], np.float32)
+        caging = _caging(np.stack([START_TIPS - side, START_TIPS + side]), peg + HEAD, peg, jnp.zeros(()))
+        return self.start_at(peg, peg + HEAD, goal, start=peg, grasp=jnp.zeros(()) if self.sparse else caging)
 
     def joints_at(self, position: jax.Array) -> jax.Array:
         """Return the peg's middle [3] with its head at `position [3]`."""
