@@ -55,6 +55,8 @@ class TaskDemos:
     state_at: Callable[[jax.Array, jax.Array], State] | None = None
     """Returns a state with the state vector [s] and the goal [g], to replay a forward demonstration from: an arm is in its
     reset pose. None if the task can only start from `reset`."""
+    exchanged: bool = False
+    """Whether the recorded directions are exchanged: the task leads back to where the recorded one starts."""
 
     def __post_init__(self):
         """Give `expert` and `state_at` the package's types, as `Env.reset` and `Env.step` have them."""
@@ -70,7 +72,13 @@ class TaskDemos:
     @property
     def directions(self) -> tuple[str, ...]:
         """The directions with recorded demonstrations; a ValueError if `file` is missing."""
-        return assets.demo_directions(self._source) if self.recorded else ()
+        recorded = assets.demo_directions(self._source) if self.recorded else ()
+        return tuple(direction for direction in assets.DIRECTIONS if self._as_recorded(direction) in recorded)
+
+    def _as_recorded(self, direction: str) -> str:
+        """Return the name of `direction` in the recordings."""
+        names = assets.DIRECTIONS[::-1] if self.exchanged else assets.DIRECTIONS
+        return dict(zip(assets.DIRECTIONS, names, strict=True)).get(direction, direction)
 
     @property
     def _source(self) -> str:
@@ -83,7 +91,7 @@ class TaskDemos:
             ValueError: this direction has no demonstrations, or the file holds none; the message lists the choices. Or their
                 transitions have other sizes than those of the task.
         """
-        demos = self.layout(assets.demos(self._source, direction))
+        demos = self.layout(assets.demos(self._source, self._as_recorded(direction)))
         for name, size in zip(("states", "goals", "actions"), self.sizes, strict=True):
             own = getattr(demos, name).shape[1]
             if own != size:

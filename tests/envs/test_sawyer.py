@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.physics import replay_demos
 from earl_jax import assets, physics
-from earl_jax.envs import make
+from earl_jax.envs import HelpBudget, make
 from earl_jax.envs.demos import save
 from earl_jax.envs.mujoco_env import leashed_target
 from earl_jax.envs.sawyer.door import handle_at
@@ -69,10 +69,14 @@ def test_a_task_that_starts_at_its_goal_has_the_released_starts_as_goals_at_ever
     at_reset, drawn = starts(env).info["goal"], starts(env, "sample_goal")
     assert set(map(tuple, at_reset.tolist())) == set(map(tuple, drawn.tolist()))
     assert env.map.goals is None or not (env.map.goals == env.map.starts).any()
-    first = next(iter(env.demonstrations.script.starts(0)))
-    for start in (first.forward, first.backward and env.with_goal(first.backward, first.backward_goal)):
-        assert start is None or not start.metrics["success"]
-        assert start is None or not env.success(start.obs)
+    assert env.demonstrations.directions == released.demonstrations.directions
+    recorded = released.demonstrations.load("backward")
+    np.testing.assert_array_equal(env.demonstrations.load("forward").states, recorded.states)
+    forward = next(iter(env.demonstrations.script.starts(0))).forward
+    np.testing.assert_array_equal(forward.info["goal"], released.goal_states[0])
+    assert not env.success(forward.obs)
+    helped = HelpBudget(env, 2.0).demonstrations.load("forward")
+    np.testing.assert_array_equal(helped.actions[:, :-1], recorded.actions)
 
 
 def test_the_dense_reward_of_a_pegs_start_counts_the_fingers_around_it_as_a_step_at_rest_does():

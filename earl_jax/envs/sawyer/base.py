@@ -118,13 +118,15 @@ class Sawyer(MujocoEnv):
 
     @property
     def demonstrations(self) -> TaskDemos:
-        script = DemoScript(noise=0.2, starts=self._demo_starts)
+        """With `reset_at_goal`, recorded backward demonstrations lead forward; the script records the released directions."""
+        script = DemoScript(noise=0.2, starts=dataclasses.replace(self, reset_at_goal=False)._demo_starts)
         return dataclasses.replace(
             super().demonstrations,
             layout=self._observed_demos,
+            exchanged=self.reset_at_goal,
             expert=self._expert,
             script=script,
-            state_at=self._demonstrated_state,
+            state_at=None if self.reset_at_goal else self._demonstrated_state,
         )
 
     @abc.abstractmethod

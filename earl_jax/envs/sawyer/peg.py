@@ -140,7 +140,7 @@ class SawyerPeg(Sawyer):
 
     def _backward_demo_start(self, key: jax.Array) -> State:
         """Return the start of a backward demonstration: peg inserted, arm in its reset pose, as published."""
-        return dataclasses.replace(self, listed=False, wide=False, reset_at_goal=not self.reset_at_goal).reset(key)
+        return dataclasses.replace(self, listed=False, wide=False, reset_at_goal=True).reset(key)
 
     def _peg_start(self, key: jax.Array) -> jax.Array:
         """Return a random start [3] of the middle of the peg."""

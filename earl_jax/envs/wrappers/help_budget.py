@@ -211,6 +211,7 @@ class HelpBudget(Env):
             demos.file,
             (self.state_size, self.goal_size, self.action_size),
             layout=lambda recorded: _with_full_budget(demos.layout(recorded)),
+            exchanged=demos.exchanged,
             expert=expert and (lambda obs: jnp.append(expert(self.task_obs(obs)), -1.0)),
         )
 
