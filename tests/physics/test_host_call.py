@@ -43,6 +43,14 @@ def test_jobs_in_progress_may_be_finished_in_any_order(double_service):
     np.testing.assert_array_equal(second_answer, 2 * (ROWS + 1)[:, :2])
 
 
+def test_other_work_of_the_same_name_leaves_earlier_programs_as_they_are(double_service):
+    """The program of a simulator ran the physics of a class that a notebook had defined again since."""
+    program = jax.jit(jax.vmap(functools.partial(service.step, double_service, width=2)))
+    expected, other = program(ROWS), service.register(double_service, lambda rows: -rows[:, :2], 2)
+    np.testing.assert_array_equal(jax.vmap(functools.partial(service.step, other, width=2))(ROWS), -ROWS[:, :2])
+    np.testing.assert_array_equal(program(ROWS), expected)
+
+
 def test_rows_of_other_types_reach_the_host_as_float32(double_service):
     for dtype in (np.float64, np.int32, np.float16):
         with jax.enable_x64(True):

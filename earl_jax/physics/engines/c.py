@@ -57,13 +57,14 @@ def _field_ends(state: PhysicsState) -> np.ndarray:
 
 
 def _register_host(simulator: "Simulator", state: PhysicsState) -> tuple[str, int]:
-    """Register this simulator's host with XLA; return its name, the same in every process, and its output width."""
+    """Register this simulator's host with XLA; return its name and its output width.
+
+    Every process takes the same name, unless it has simulators that differ and have the same text.
+    """
     serve = host_of(simulator, state.memory.size)
     width = int(_field_ends(state)[-1]) + simulator.mujoco_model().nsensordata
     digest = hashlib.blake2b(repr((simulator, state.memory.size)).encode(), digest_size=8).hexdigest()
-    name = f"earl_jax.{simulator.model}.{digest}"
-    service.register(name, serve, width)
-    return name, width
+    return service.register(f"earl_jax.{simulator.model}.{digest}", serve, width), width
 
 
 class Simulations:

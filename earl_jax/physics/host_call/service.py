@@ -78,16 +78,19 @@ def is_foreign() -> bool:
     return True
 
 
-def register(name: str, serve: Serve, width: int) -> None:
-    """Register `serve`, whose answers have `width` columns, with XLA if it takes foreign functions.
+def register(name: str, serve: Serve, width: int) -> str:
+    """Register `serve`, whose answers have `width` columns, with XLA if it takes foreign functions, and return its name.
 
-    The targets are `<name>.step` on a CPU, and `<name>.start` and `<name>.finish` on a CPU and on CUDA.
+    The targets are `<name>.step` on a CPU, and `<name>.start` and `<name>.finish` on a CPU and on CUDA. If other work has
+    this name, such as that of a class before a notebook defined it again, a longer one leaves it to earlier programs.
     """
-    known = name in _SERVICES
-    if not known or _SERVICES[name].serve is not serve:
-        _SERVICES[name] = Service(serve, width)
-    if known or not is_foreign():
-        return
+    while name in _SERVICES and _SERVICES[name].serve is not serve:
+        name += "_"
+    if name in _SERVICES:
+        return name
+    _SERVICES[name] = Service(serve, width)
+    if not is_foreign():
+        return name
     targets = {
         ("step", "cpu"): Service.step,
         ("start", "cpu"): Service.start,
@@ -97,6 +100,7 @@ def register(name: str, serve: Serve, width: int) -> None:
     }
     for (part, platform), work in targets.items():
         _register_target(f"{name}.{part}", platform, lambda frame, work=work: work(_SERVICES[name], frame))
+    return name
 
 
 def _register_target(target: str, platform: str, work: Callable[[Frame], None]) -> None:
