@@ -20,15 +20,20 @@ class OptionsNode:
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__()
         dataclasses.dataclass(frozen=True, **options)(cls)
-        fields = dataclasses.fields(cls)
-        leaves = [field.name for field in fields if field.metadata.get("pytree_node", True)]
-        static = [field.name for field in fields if field.name not in leaves]
+
+        def names() -> tuple[list[str], list[str]]:
+            """Return the fields that are leaves and the others, to which `%autoreload` may have added some."""
+            fields = dataclasses.fields(cls)
+            leaves = [field.name for field in fields if field.metadata.get("pytree_node", True)]
+            return leaves, [field.name for field in fields if field.name not in leaves]
 
         def flatten(node: Any) -> tuple[list, tuple]:
+            leaves, static = names()
             keyed = [(jax.tree_util.GetAttrKey(name), getattr(node, name)) for name in leaves]
             return keyed, tuple(getattr(node, name) for name in static)
 
         def unflatten(values: tuple, children: Any) -> Any:
+            leaves, static = names()
             return cls(**dict(zip(leaves + static, (*children, *values), strict=True)))
 
         jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)

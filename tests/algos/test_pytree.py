@@ -32,3 +32,18 @@ def test_static_fields_belong_to_the_structure_and_the_others_are_leaves():
     assert options.replace(size=2) == Options()
     with pytest.raises(AttributeError):
         options.rate = 1.0
+
+
+def test_a_field_that_autoreload_has_added_keeps_its_value():
+    """It had its default in a program: the fields were those with which the class was first defined."""
+
+    class Former(OptionsNode):
+        rate: float = 0.5
+
+    class Latter(OptionsNode):
+        rate: float = 0.5
+        bonus: float = 1.0
+
+    for name in ("__dataclass_fields__", "__init__", "__eq__"):  # as `%autoreload` changes a class in place
+        setattr(Former, name, vars(Latter)[name])
+    assert jax.tree.map(lambda leaf: 2 * leaf, Former(bonus=50.0)).bonus == 100.0
