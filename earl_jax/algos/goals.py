@@ -63,9 +63,14 @@ def rescored(env: Env, batch: TransitionBatch, goal: jax.Array, changed: jax.Arr
     return batch._replace(reward=reward, flags=batch.flags._replace(reached=reached))
 
 
-@functools.cache
 def goal_table(env: Env) -> Goals:
     """Return the goals of `env`; without demonstrations, these are its task goals and initial states only."""
+    return _goal_table(env, *(np.asarray(table).tobytes() for table in (env.goal_states, env.initial_states)))
+
+
+@functools.cache
+def _goal_table(env: Env, *tables: bytes) -> Goals:
+    """Return the goals of `env`, whose `tables` `%autoreload` can change in an equal env."""
     parts, ends = [env.goal_states, env.initial_states], [np.zeros(0, int)]
     if env.demonstrations.recorded and env.state_size == env.goal_size:
         for direction in env.demonstrations.directions:

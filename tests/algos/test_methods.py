@@ -27,6 +27,7 @@ from tests.conftest import (
     tiny_train,
     without_shares,
 )
+from tests.envs.chain import Chain
 
 KEYS = jax.random.split(jax.random.key(0), 300)
 CURRENT = GoalIndices(goal=jnp.asarray(2), task=jnp.asarray(3))
@@ -127,6 +128,13 @@ def test_the_goal_table_holds_tasks_starts_and_every_demonstrated_state(env):
     last = np.unique(goals.ends)
     np.testing.assert_array_equal(goals.candidates[last[0]], forward.next_states[forward.ends][0])
     assert len(last) == 24
+
+
+def test_the_goal_table_follows_a_task_that_autoreload_has_changed(monkeypatch):
+    """It kept the former goals, also after `jax.clear_caches()`, while the task drew the new ones."""
+    goal_table(Chain())
+    monkeypatch.setattr(Chain, "goal_states", property(lambda self: np.array([[2.0], [1.0]], np.float32)))
+    assert goal_table(Chain()).table.ravel().tolist() == [2.0, 1.0, 0.0]
 
 
 def test_naive_by_the_global_clock_times_out_at_multiples_of_its_episode_length(problem):
