@@ -88,7 +88,8 @@ def _check_defaults(owner: str, cls: type) -> None:
     """Raise an InputError if the class sets a field in a way that the dataclass ignores: the default would be another."""
     for field in dataclasses.fields(cls):
         default = field.default
-        if default is not dataclasses.MISSING and getattr(cls, field.name, default) is not default:
+        value = default if default is dataclasses.MISSING else getattr(cls, field.name, default)
+        if value is not default and repr(value) != repr(default):  # `%autoreload` leaves an equal one in the class
             fix = f"write `{field.name}: TYPE = ...`, in a task below @dataclasses.dataclass(frozen=True)"
             raise InputError(f"{owner}: the value of {field.name} in {cls.__name__} is no default; {fix}")
 

@@ -157,6 +157,12 @@ def test_a_value_in_a_class_that_its_dataclass_ignores_is_refused():
             build()
 
 
+def test_a_class_whose_values_autoreload_has_replaced_by_equal_ones_is_accepted():
+    far = dataclasses.make_dataclass("Far", [("eval_horizon", int, int("1000"))], bases=(Chain,), frozen=True)
+    far.eval_horizon = int("1000")  # an object other than the default of the field
+    assert far().eval_horizon == 1000
+
+
 def test_options_of_an_object_that_no_program_can_hold_are_named():
     """An array as a static option trained once, and failed in jax with the next array; text failed in jax."""
 
