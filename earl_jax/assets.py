@@ -219,13 +219,17 @@ def pretrained_info(task: str, method: str) -> dict[str, Any]:
     return json.loads((root() / "pretrained" / task / f"{method}.json").read_text())
 
 
-@functools.cache
 def published(table: str) -> list[dict[str, str]]:
-    """Return a table of published results (`table1`, `table2`, `steps`, ...) as rows of text by column.
+    """Return a table of published results (`table1`, `table2`, `steps`, ...) as rows of text by column, to keep or change.
 
     Raises:
         ValueError: there is no such table; the message lists the choices.
     """
+    return [dict(row) for row in _read_published(table)]
+
+
+@functools.cache
+def _read_published(table: str) -> list[dict[str, str]]:
     with _file("published", table, ".csv").open(newline="") as handle:
         return list(csv.DictReader(handle))
 
@@ -243,8 +247,13 @@ def released_runs(task: str, method: str) -> dict[str, np.ndarray]:
     Source: arrays of the repository earl_benchmark at commit b05b000, up to the shortest seed. They have no steps. The world
     of naive RL, FBRL and VaPRL is put back two rows before multiples of the horizon, so their first row is after 20,000 steps,
     presumably 10,000 random ones and 10,000 of training. The oracle's is taken to be so too. R3L's is after one interval.
+    Arrays are read-only.
     """
     import numpy as np
 
     with np.load(root() / "published" / "curves.npz", allow_pickle=False) as stored:
-        return {name.rpartition("/")[2]: stored[name] for name in stored.files if name.startswith(f"{task}/{method}/")}
+        own = [name for name in stored.files if name.startswith(f"{task}/{method}/")]
+        arrays = {name.rpartition("/")[2]: stored[name] for name in own}
+    for array in arrays.values():
+        array.setflags(write=False)
+    return arrays

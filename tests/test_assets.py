@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from earl_jax import assets
+from earl_jax.algos.goals import goal_table
 from earl_jax.envs import make
 from earl_jax.envs.demos import scripted
 
@@ -74,6 +75,15 @@ def test_a_demo_file_that_changes_within_a_process_is_refused(tmp_path):
     os.utime(file, (0, 0))
     with pytest.raises(ValueError, match="has changed since this process read it"):
         assets.demos(str(file), "forward")
+
+
+def test_a_caller_that_changes_published_numbers_changes_its_own_copy_alone():
+    """`compare` and `preset` read the changed numbers later in the same process."""
+    rows = assets.published("steps")
+    rows[0]["env"] = "changed"
+    assert assets.published_row("steps", env="changed") == {}
+    arrays = [*assets.released_runs("tabletop_organization", "naive").values(), goal_table(make("sawyer_door")).table]
+    assert not any(array.flags.writeable for array in arrays)
 
 
 def test_missing_files_and_directions_are_refused_with_the_choices():

@@ -78,6 +78,7 @@ def _goal_table(env: Env, *tables: bytes) -> Goals:
             parts.append(states)
             ends.append(sum(map(len, ends)) + last)
     table = np.concatenate(parts).astype(np.float32)
+    table.setflags(write=False)
     if len(table) > 1 << GOAL_BITS:
         raise InputError(f"{env.name} has {len(table)} goals; the replay can store at most {1 << GOAL_BITS}")
     return Goals(table, len(env.goal_states), len(env.initial_states), np.concatenate(ends))
