@@ -34,7 +34,7 @@ class Result:
 
     Each seed was trained for `step` steps on the physics engine `engine`, or on `kinematic`. After a time limit training
     ends early (`finished` is False). Before the first evaluation, `metrics` is empty. `folder` is the run folder, or None.
-    `train_state` is the final state; `load` leaves it, and the `objects` that were trained, None.
+    `train_state` is the final state; `load` leaves it, and the `objects` that were trained, None, and sets the `run_id`.
     """
 
     config: RunConfig
@@ -45,6 +45,7 @@ class Result:
     folder: RunFolder | None = None
     train_state: TrainState | None = None
     objects: tuple[Env, Method] | None = None
+    run_id: str | None = None
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -99,11 +100,13 @@ class Result:
         """The greedy task policies of all seeds, one policy with leaves [N], for `jax.vmap`.
 
         Raises:
-            ValueError: the run was loaded, and its folder has no policies or they are damaged.
+            ValueError: the run was loaded, and its folder has no policies, damaged ones or those of another run since.
         """
         if self.train_state is not None:
             return jax.vmap(functools.partial(Policy.of, self.env))(self.method, self.train_state.lanes)
         assert self.folder is not None
+        if RunFolder.open(self.folder.path).recorded().get("id") != self.run_id:
+            raise InputError(f"{self.folder.path} holds another run than when it was loaded; load it again")
         return load_policies(self.folder)
 
     def policy(self, lane: int = 0, *, seed: int | None = None) -> Policy:
@@ -167,7 +170,9 @@ def load(folder: str | Path) -> Result:
     run = RunFolder.open(Path(folder))
     table = run.table()
     step = max(table.step, newest(run.checkpoints))
-    return Result(run.config, str(run.recorded().get("engine", "unknown")), step, table.steps, table.metrics, run)
+    recorded = run.recorded()
+    engine, run_id = str(recorded.get("engine", "unknown")), recorded.get("id")
+    return Result(run.config, engine, step, table.steps, table.metrics, run, run_id=run_id)
 
 
 def select_seed(state: Any, i: int) -> Any:

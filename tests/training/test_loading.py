@@ -110,6 +110,15 @@ def test_a_folder_without_checkpoints_gives_the_result_of_its_training(trained, 
         loaded.policy(seed=1)
 
 
+def test_policies_of_a_run_that_replaced_the_loaded_one_are_refused(bare):
+    """They used to be returned, beside the seeds and metrics of the earlier run."""
+    result = earl_jax.load(bare.path)
+    assert earl_jax.load(bare.path).policies.obs_size == 12
+    change_config(bare.path, id="other")
+    with pytest.raises(ValueError, match="holds another run than when it was loaded; load it again"):
+        result.policy(seed=3)
+
+
 def test_a_run_of_classes_that_are_not_registered_here_can_be_read(trained, bare):
     change_config(bare.path, env="meadow", algo="patient")
     loaded = earl_jax.load(bare.path)
