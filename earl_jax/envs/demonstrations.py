@@ -77,8 +77,7 @@ class TaskDemos:
 
     def _as_recorded(self, direction: str) -> str:
         """Return the name of `direction` in the recordings."""
-        names = assets.DIRECTIONS[::-1] if self.exchanged else assets.DIRECTIONS
-        return dict(zip(assets.DIRECTIONS, names, strict=True)).get(direction, direction)
+        return {"forward": "backward", "backward": "forward"}.get(direction, direction) if self.exchanged else direction
 
     @property
     def _source(self) -> str:

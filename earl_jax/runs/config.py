@@ -229,7 +229,7 @@ def method_options(method: Method) -> dict[str, Any]:
     `learner` is the name of a learner of another class than the method's own.
     """
     default, learner = type(method)(), type(method.learner)
-    options = {} if learner is type(default.learner) else {"learner": learner.name}
+    options: dict[str, Any] = {} if learner is type(default.learner) else {"learner": learner.name}
     for part, other in ((method.learner, preset_learner(type(method), learner)), (method, default)):
         for field in dataclasses.fields(part):
             plain, usual = _plain(getattr(part, field.name)), getattr(other, field.name)

@@ -122,7 +122,7 @@ class SawyerPeg(Sawyer):
     def _start_with_peg(self, peg: jax.Array, goal: jax.Array) -> State:
         """Return a start state with the middle of the peg at `peg [3]`; its reward is that without effort."""
         side = np.array([0.0, OPENING / 2, 0.0], np.float32)
-        caging = _caging(np.stack([START_TIPS - side, START_TIPS + side]), peg + HEAD, peg, jnp.zeros(()))
+        caging = _caging(jnp.stack([START_TIPS - side, START_TIPS + side]), peg + HEAD, peg, jnp.zeros(()))
         return self.start_at(peg, peg + HEAD, goal, start=peg, grasp=jnp.zeros(()) if self.sparse else caging)
 
     def joints_at(self, position: jax.Array) -> jax.Array:
