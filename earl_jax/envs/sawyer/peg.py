@@ -121,9 +121,10 @@ class SawyerPeg(Sawyer):
 
     def _start_with_peg(self, peg: jax.Array, goal: jax.Array) -> State:
         """Return a start state with the middle of the peg at `peg [3]`; its reward is that without effort."""
-        side = np.array([0.0, OPENING / 2, 0.0], np.float32)
-        caging = _caging(jnp.stack([START_TIPS - side, START_TIPS + side]), peg + HEAD, peg, jnp.zeros(()))
-        return self.start_at(peg, peg + HEAD, goal, start=peg, grasp=jnp.zeros(()) if self.sparse else caging)
+        grasp = jnp.zeros(())
+        if not self.sparse:
+            grasp = _caging(_tips_about(jnp.asarray(START_TIPS), HOME.grip), peg + HEAD, peg, grasp)
+        return self.start_at(peg, peg + HEAD, goal, start=peg, grasp=grasp)
 
     def joints_at(self, position: jax.Array) -> jax.Array:
         """Return the peg's middle [3] with its head at `position [3]`."""
@@ -201,9 +202,7 @@ class SawyerPeg(Sawyer):
     def _dense_from_obs(self, obs: jax.Array) -> jax.Array:
         grip = obs[GRIPPER] if self.variant == "released" else 1.0
         start = jnp.asarray((LOW + HIGH) / 2)
-        side = jnp.array([0.0, OPENING / 2, 0.0]) * grip
-        below = obs[:3] - jnp.array([0.0, 0.0, 0.045])
-        tips = jnp.stack([below - side, below + side])
+        tips = _tips_about(obs[:3] - jnp.array([0.0, 0.0, 0.045]), grip)
         return self._dense(obs, start, _caging(tips, self.object_in(obs), start, jnp.zeros(())))
 
     def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
@@ -232,6 +231,12 @@ class SawyerPeg(Sawyer):
 def _lying_peg(head: jax.Array) -> jax.Array:
     """Return the middle [3] of a lying peg with its `head [2]`."""
     return jnp.append(head, LOW[2]) - HEAD
+
+
+def _tips_about(middle: jax.Array, grip: jax.Array | float) -> jax.Array:
+    """Return the right and left finger tip [2, 3], symmetric about `middle [3]` and `grip []` of their opening apart."""
+    side = jnp.array([0.0, OPENING / 2, 0.0]) * grip
+    return jnp.stack([middle - side, middle + side])
 
 
 def _caging(tips: jax.Array, head: jax.Array, start: jax.Array, effort: jax.Array) -> jax.Array:
