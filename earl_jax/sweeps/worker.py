@@ -247,14 +247,13 @@ def serve(task: dict[str, Any]) -> int:
         if "grid" in task:
             check_logs(task.get("logs", ()))
             _print(state="planned", plan=plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"]))
+            return 0
     except Exception as error:
-        cause = _cause(error)
-        if "grid" in task:
-            _print(state="refused", detail=cause)
-        for name in task.get("runs", ()):
-            _print(run=name, state="failed", detail=cause)
-        return len(task.get("runs", ()))
-    return 0 if "grid" in task else _train(task)
+        failed = [{"run": name, "state": "failed"} for name in task.get("runs", ())]
+        for event in [{"state": "refused"}] if "grid" in task else failed:
+            _print(**event, detail=_cause(error))
+        return len(failed)
+    return _train(task)
 
 
 def _train(task: dict[str, Any]) -> int:
