@@ -236,7 +236,7 @@ def _read_published(table: str) -> list[dict[str, str]]:
 
 def published_row(table: str, **where: str) -> dict[str, str]:
     """Return the first row of a published table with the values `where` by column, or {} without such a row."""
-    return next((row for row in published(table) if where.items() <= row.items()), {})
+    return next((dict(row) for row in _read_published(table) if where.items() <= row.items()), {})
 
 
 @functools.cache

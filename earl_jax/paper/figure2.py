@@ -127,7 +127,7 @@ def _arms(runs: Sequence[Curves]) -> Arms:
         env, horizon = config.env, config.build_env().train_horizon
         if not horizon:
             raise InputError(f"figure 2 needs resets, and a run on {env} has none: train_horizon=0")
-        update = bool(config.build_method().learner.timeout_bootstrap)
+        update = bool(_learner(curves).timeout_bootstrap)
         key = (env, update, horizon)
         if key in points:
             raise InputError(f"runs on {env} with H_T {horizon:,}, {UPDATES[update]}, differ in other options")

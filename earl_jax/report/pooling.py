@@ -67,8 +67,8 @@ def gather(
     """Return the curves of the runs that `find_runs` finds, and the causes of those that are left out, by folder.
 
     Seeds of one run are apart where they have other hyper-parameters. Those of the same task, method and options are pooled
-    over their common steps, and a seed that ran more than once counts once, by the mean of its runs. A run
-    is left out if it cannot be read or pooled with the earlier ones, or if `check` of the pooled curves raises an error.
+    over their common steps, and a seed that ran more than once counts once, by the mean of its runs. A run is left out if it
+    cannot be read or pooled with the earlier ones, or if `check` of the pooled curves raises an error.
 
     Raises:
         ValueError: a folder does not exist or holds no run, no run can be read, or `window` is no `Window`.

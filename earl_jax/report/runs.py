@@ -27,8 +27,9 @@ SAME_TASK = frozenset({"engine", "demo_file", "reward_type"})
 class Curves(NamedTuple):
     """Evaluations of N seeds of one method on one task: `steps [E]` and `metrics` of arrays [N, E].
 
-    `runs` are the folders of the runs that the seeds come from, and `window` has the evaluations that score them. `label`
-    is their method with the options that tell it from others on the task, where `by_method` has compared them.
+    `runs` are the folders of the runs that the seeds come from, each with the config of these seeds alone, and `window` has
+    the evaluations that score them. `label` is their method with the options that tell it from others on the task, where
+    `by_method` has compared them.
     """
 
     config: RunConfig

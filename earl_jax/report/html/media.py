@@ -46,7 +46,7 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
         visits = []
         for run in line.curves.runs:
             try:
-                whole = RunFolder.open(run.path)  # the run of a line has the seeds of the line alone
+                whole = RunFolder.open(run.path)
                 counts = np.asarray(load_visits(whole)[1])[np.isin(whole.config.seeds, run.config.seeds)]
                 if visits and counts.shape[1:] != visits[0].shape[1:]:
                     raise InputError(

@@ -103,10 +103,6 @@ def test_maps_are_shares_of_visits_on_a_common_scale(run, monkeypatch):
     np.testing.assert_allclose(plot["bounds"], make(TABLETOP).map.bounds)
 
 
-def _ones(run, bins):
-    return np.ones((len(run.config.seeds), bins, bins), int)
-
-
 def test_the_seeds_of_one_run_that_have_values_of_their_own_have_maps_and_videos_apart(tmp_path, rendered, monkeypatch):
     scores = constant(0.9, 0.1, 0.5)
     run = write_page_run(tmp_path / "run", "fbrl", scores, seeds=(4, 5, 6), learning_rate=[1e-3, 1e-4, 1e-3])
@@ -123,7 +119,11 @@ def test_the_seeds_of_one_run_that_have_values_of_their_own_have_maps_and_videos
 def test_maps_of_another_size_are_left_out(run, monkeypatch):
     other = write_page_run(run.parent / "other", "fbrl", rising(2, 2), seeds=(7, 8))
     sizes = {run: 4, other: 8}
-    monkeypatch.setattr(media, "load_visits", lambda run: (make(TABLETOP), _ones(run, sizes[run.path])))
+
+    def load(run):
+        return make(TABLETOP), np.ones((len(run.config.seeds), sizes[run.path], sizes[run.path]), int)
+
+    monkeypatch.setattr(media, "load_visits", load)
     [drawn], [sentence] = maps(read_lines(run, other))
     assert len(drawn["plot"]["shares"]) == 4
     assert sentence == f"No map of fbrl: {other} has maps of 8 bins, another run of 4."
