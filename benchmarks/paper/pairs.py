@@ -42,14 +42,16 @@ BOOTSTRAPPED = f"{CHEETAH}/naive/timeout_bootstrap-train_horizon_1000"
 SHORTER = f"{CHEETAH}/naive/discount_0.98901-timeout_bootstrap-train_horizon_1000"
 ALL_KEPT = "replay_capacity_None"
 """The variant of a cell whose replay keeps all transitions."""
+KITCHEN_ORACLE = f"{KITCHEN}/oracle/{ALL_KEPT}"
+"""The kitchen's oracle with the replay of its variants."""
 RELEASED_REPLAY = "replay_capacity_1000000"
 """The variant with the released replay of a cell whose replay keeps all transitions."""
-DENSE_AGAIN = f"{KITCHEN}/fbrl", f"{KITCHEN}/r3l", f"{LIGHTBULB}/oracle"
+DENSE_AGAIN = f"{KITCHEN}/fbrl", f"{KITCHEN}/r3l", f"{KITCHEN}/oracle", f"{LIGHTBULB}/oracle"
 RUN_AGAIN = TABLETOP, DOOR, PEG, *DENSE_AGAIN
 """Tasks and cells that have the released replay, which is the default since 2026-11-27."""
 KEEP_ALL = (
     *(f"{MINITAUR}/{algo}" for algo in ("naive", "fbrl", "r3l", "oracle")),
-    f"{KITCHEN}/naive", f"{KITCHEN}/oracle", *(f"{LIGHTBULB}/{algo}" for algo in ("naive", "fbrl", "r3l")),
+    f"{KITCHEN}/naive", *(f"{LIGHTBULB}/{algo}" for algo in ("naive", "fbrl", "r3l")),
 )  # fmt: skip
 """Cells that keep all transitions, and of which a variant has the released replay."""
 SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
@@ -94,8 +96,9 @@ AGAIN = {
     cell: f"{cell}/commit_{commit}"
     for cell, commit in (
         (f"{TABLETOP}/naive", "ed7009a"), (f"{TABLETOP}/vaprl", "ed7009a"), (f"{DOOR}/r3l", "24b5aba"),
-        (f"{KITCHEN}/naive", "87f9604"), (f"{KITCHEN}/oracle", "87f9604"), (f"{KITCHEN}/fbrl", "c7e2d9e"),
-        (f"{KITCHEN}/r3l", "c7e2d9e"), (f"{KITCHEN}/oracle/reward_scale_0.1", "fbeb891"),
+        (f"{KITCHEN}/naive", "87f9604"), (f"{KITCHEN}/fbrl", "c7e2d9e"), (f"{KITCHEN}/r3l", "c7e2d9e"),
+        (f"{KITCHEN}/oracle", "3591157"), (KITCHEN_ORACLE, "87f9604"),
+        (f"{KITCHEN}/oracle/reward_scale_0.1", "fbeb891"),
     )
 }  # fmt: skip
 """Cells whose seeds were run again, and their earlier runs."""
@@ -197,8 +200,8 @@ DIFFERENCES = (
         ),
     )),
     Difference("16", "the kitchen's oracle: the light's weight, with both of its runs; the release's reward scale 0.1", (
-        Pair((f"{KITCHEN}/oracle", AGAIN[f"{KITCHEN}/oracle"]), (f"{KITCHEN}/oracle/unweighted_light",)),
-        Pair((f"{KITCHEN}/oracle",), (f"{KITCHEN}/oracle/reward_scale_0.1",)),
+        Pair((KITCHEN_ORACLE, AGAIN[KITCHEN_ORACLE]), (f"{KITCHEN}/oracle/unweighted_light",)),
+        Pair((KITCHEN_ORACLE,), (f"{KITCHEN}/oracle/reward_scale_0.1",)),
         Pair((f"{KITCHEN}/oracle/reward_scale_0.1",), PUBLISHED),
     )),
     Difference("17", "the same seeds again: the kept run, or an earlier one", tuple(
@@ -218,9 +221,9 @@ DIFFERENCES = (
         for pair in _released_replay(f"{env}/{algo}")
     ), *(
         pair for cell in KEEP_ALL for pair in _both_scores((cell,), (f"{cell}/{RELEASED_REPLAY}",))
-    ), *(
-        pair for algo in ("naive", "oracle") for pair in _both_scores((f"{KITCHEN}/{algo}/{RELEASED_REPLAY}",), PUBLISHED)
-    ), *(pair for cell in DENSE_AGAIN for pair in _both_scores((_all_kept(cell),), (cell,))))),
+    ), *_both_scores((f"{KITCHEN}/naive/{RELEASED_REPLAY}",), PUBLISHED), *(
+        pair for cell in DENSE_AGAIN for pair in _both_scores((_all_kept(cell),), (cell,))
+    ))),
     Difference("20", "FBRL on the door on engine mjx", _both_scores((f"{DOOR}/fbrl",), (f"{DOOR}/fbrl/mjx",))),
     Difference("21", "the kitchen's backward goal of 13 on fresh seeds, with the released replay", (
         *_both_scores((BESIDE_VARIANTS["fbrl"],), (f"{KITCHEN}/fbrl/mean_return-seeds_5_to_9",)),
