@@ -229,7 +229,7 @@ class Env(abc.ABC):
     @package_types()
     def sample_goal(self, key: jax.Array) -> jax.Array:
         """Return a task goal [g], uniform over `goal_states`."""
-        return random_row(key, self.goal_states)
+        return random_row(key, np.asarray(self.goal_states, np.float32))
 
     def with_goal(self, state: State, goal: jax.Array) -> State:
         """Return `state` with a copy of the goal `goal [g]`; reward and metrics still describe the last transition.

@@ -8,7 +8,7 @@ import pytest
 import earl_jax
 from earl_jax.adapters.gymnasium import ResetFreeEnv
 from earl_jax.errors import InputError
-from earl_jax.protocol import Protocol
+from earl_jax.protocol import Protocol, advance, init
 from earl_jax.training import Problem
 from tests.envs.chain import Chain
 
@@ -34,6 +34,13 @@ def test_odd_goals_and_functions_are_refused_by_training_and_by_adapters(member,
     for use in (lambda: earl_jax.train(env, "naive", seeds=1, steps=40, eval_every=40), lambda: ResetFreeEnv(env)):
         with pytest.raises(InputError, match=f"chain: .*{message}"):
             use()
+
+
+def test_goals_of_whole_numbers_keep_the_types_of_a_life():
+    """The first goal used to be int32 and every later one float32, which a scan refuses."""
+    env = type("Whole", (Chain,), {"goal_states": np.array([[3], [0]]), "initial_states": np.array([[0]])})()
+    state = init(env, Protocol(0, 4), jax.random.key(0))
+    assert jax.lax.scan(lambda s, _: (advance(env, s, jnp.ones(1))[0], None), state, length=2)[0].step == 2
 
 
 def test_a_state_vector_of_another_size_is_refused():
