@@ -17,7 +17,8 @@ def check_task(env: Env) -> None:
 
     Raises:
         ValueError: `goal_states` and `initial_states` do not have rows of finite numbers of one length, `success` or
-            `reward` returns another shape or type, or a sparse reward is not the success bit.
+            `reward` returns another shape or type, a sparse reward is not the success bit, or a state that equals its goal
+            is no success.
     """
     tables = {name: getattr(env, name) for name in ("goal_states", "initial_states")}
     for name, table in tables.items():
@@ -29,18 +30,23 @@ def check_task(env: Env) -> None:
     if len({table.shape[1] for table in tables.values()}) > 1:
         shapes = " and ".join(f"{name} {list(table.shape)}" for name, table in tables.items())
         raise InputError(f"{env.name}: rows of goals and initial states have one length, not {shapes}")
-    states = np.full((len(env.goal_states), env.state_size), 0.5)
-    obs = np.concatenate([states, env.goal_states], axis=1, dtype=np.float32)[None]
+    goals, are_states = env.goal_states, env.goal_size == env.state_size
+    states = np.full((len(goals), env.state_size), 0.5)
+    if are_states:
+        states, goals = np.concatenate([states, goals]), np.tile(goals, (2, 1))
+    obs = np.concatenate([states, goals], axis=1, dtype=np.float32)[None]
     for name, kind in (("success", "bool"), ("reward", "number")):
         result = jax.eval_shape(getattr(env, name), obs)
         require_result(f"{env.name}: {name} of obs {list(obs.shape)}", result, obs.shape[:2], kind)
-    if env.sparse:
-        with jax.ensure_compile_time_eval():  # a user's program may make its problem while it is traced
-            given = jnp.asarray(obs)
-            bits, rewards = np.asarray(env.success(given)), np.asarray(env.reward(given))
-        if (bits != rewards).any():
-            pair = f"reward is {brief(rewards)} where success is {brief(bits)}"
-            raise InputError(f"{env.name}: a sparse reward is the success bit, but {pair}; or use reward_type='dense'")
+    with jax.ensure_compile_time_eval():  # a user's program may make its problem while it is traced
+        given = jnp.asarray(obs)
+        bits = np.asarray(env.success(given))
+        rewards = np.asarray(env.reward(given)) if env.sparse else bits
+    if (bits != rewards).any():
+        pair = f"reward is {brief(rewards)} where success is {brief(bits)}"
+        raise InputError(f"{env.name}: a sparse reward is the success bit, but {pair}; or use reward_type='dense'")
+    if are_states and not bits[0, len(env.goal_states) :].all():
+        raise InputError(f"{env.name}: a state that equals its goal is a success, but success is {brief(bits)}")
 
 
 def require_result(what: str, result: Any, shape: tuple[int, ...], kind: str) -> None:

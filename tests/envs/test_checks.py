@@ -21,11 +21,13 @@ from tests.envs.chain import Chain
         ("goal_states", property(lambda env: jnp.ones((1, 1))), "goal_states must be a NumPy array"),
         ("initial_states", np.array([[np.inf]]), "initial_states must be a NumPy array"),
         ("initial_states", np.zeros((1, 2)), r"one length, not goal_states \[2, 1\] and initial_states \[1, 2\]"),
-        ("success", lambda env, obs: 1.0 * (obs[..., 0] == obs[..., 1]), r"success of obs \[1, 2, 2\] must .*, not float32"),
-        ("success", lambda env, obs: obs[0] == obs[1], r"success of .* bool\[1, 2\], not bool\[2, 2\]"),
-        ("success", lambda env, obs: False, r"success of .* must be bool\[1, 2\], not bool\[\]"),
-        ("reward", lambda env, obs: obs[..., :1], r"reward of .* number\[1, 2\], not float32\[1, 2, 1\]"),
+        ("success", lambda env, obs: 1.0 * (obs[..., 0] == obs[..., 1]), r"success of obs \[1, 4, 2\] must .*, not float32"),
+        ("success", lambda env, obs: obs[0] == obs[1], r"success of .* bool\[1, 4\], not bool\[4, 2\]"),
+        ("success", lambda env, obs: False, r"success of .* must be bool\[1, 4\], not bool\[\]"),
+        ("reward", lambda env, obs: obs[..., :1], r"reward of .* number\[1, 4\], not float32\[1, 4, 1\]"),
         ("reward", lambda env, obs: -jnp.abs(obs[..., 0] - obs[..., 1]), "the success bit, but reward is .*'dense'"),
+        ("reward", lambda env, obs: 10.0 * env.success(obs), r"the success bit, but reward is .*, 10.0\]\] where"),
+        ("success", lambda env, obs: obs[..., 0] > obs[..., 1] + 1, "that equals its goal is a success, but success is"),
     ],
 )  # fmt: skip
 def test_odd_goals_and_functions_are_refused_by_training_and_by_adapters(member, value, message):
