@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = Path(__file__).parent
+SIMILAR = 0.82
+"""The ratio of difflib from which a name of a member counts as a misspelling of another."""
 LIBRARIES = [Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "purelib", "platlib")]
 
 
@@ -50,6 +52,20 @@ def choices(name: Any, names: Iterable[str]) -> str:
     text, names = str(name).lower(), list(names)
     near = [known for known in names if len(text) > 2 and text in known] or get_close_matches(text, names, 1)
     return f"did you mean {near[0]!r}? Choose from {', '.join(names)}" if near else f"choose from {', '.join(names)}"
+
+
+def check_spelling(cls: type) -> None:
+    """Raise an InputError if `cls` adds a public member, no option, that is nearly called as one that it could override."""
+    from difflib import get_close_matches
+
+    bases, own = [vars(base) for base in cls.__mro__[1:]], vars(cls)
+    inherited = {name for base in bases for name in (*base, *base.get("__annotations__", {}))}
+    options = {name for name, kind in own.get("__annotations__", {}).items() if "ClassVar" not in str(kind)}
+    known = [name for name in inherited - own.keys() if not name.startswith("_")]
+    for name in sorted(own.keys() - inherited - options):
+        if not name.startswith("_") and (near := get_close_matches(name, known, 1, SIMILAR)):
+            remedy = f"did you mean {near[0]!r}? If not, choose a name that is less like it"
+            raise InputError(f"{cls.__name__}.{name} overrides nothing; {remedy}")
 
 
 def require_known(kind: str, name: Any, names: Collection[str]) -> None:

@@ -2,8 +2,9 @@
 
 import pytest
 
-from earl_jax.algos import Method, Phase, list_algos, make_algo
+from earl_jax.algos import SAC, Method, Phase, list_algos, make_algo
 from earl_jax.algos.method import FORWARD, FUNCTIONS, check_method
+from earl_jax.envs import KinematicEnv
 from earl_jax.errors import InputError
 
 
@@ -17,6 +18,22 @@ def test_a_function_with_other_parameters_is_an_error_when_the_class_is_defined(
 
             def next_goal(self, key, phase, goals, current, method_state):  # pyright: ignore[reportIncompatibleMethodOverride]
                 return current
+
+
+@pytest.mark.parametrize(
+    ("base", "wrong", "meant"),
+    [
+        (Method, "end_phase", "ends_phase"),
+        (Method, "need_demos", "needs_demos"),
+        (SAC, "diagnostic", "diagnostics"),
+        (KinematicEnv, "transitions", "transition"),
+    ],
+)
+def test_a_member_that_is_nearly_called_as_an_inherited_one_is_an_error_when_the_class_is_defined(base, wrong, meant):
+    with pytest.raises(InputError, match=f"Careless.{wrong} overrides nothing; did you mean '{meant}'"):
+        type("Careless", (base,), {wrong: True})
+    type("Careful", (base,), {wrong: True, meant: getattr(base, meant)})
+    type("Careful", (base,), {wrong: True, "__annotations__": {wrong: bool}})
 
 
 @pytest.mark.parametrize("demos", [FORWARD, "forward", ("forward",), [FORWARD]])
