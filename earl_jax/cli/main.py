@@ -67,6 +67,9 @@ def main(arguments: list[str] | None = None) -> None:
             raise SystemExit(1) from None
         except Exception as error:
             cause = str(error) if is_input_error(error) else start_failure(error)
+            if isinstance(getattr(sys, "last_value", None), KeyboardInterrupt):  # numpy printed it while jax was loaded
+                print("earl-jax: interrupted", file=sys.stderr)
+                raise SystemExit(130) from None
             if cause is None or options.traceback:
                 raise
             if len(cause) > LONGEST:

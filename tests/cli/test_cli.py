@@ -4,8 +4,10 @@ import json
 import re
 import shutil
 import signal
+import subprocess
 import sys
 import warnings
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from earl_jax import InputError, __version__, cli
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.provenance import made_by
 from earl_jax.training import load_transitions
-from tests.cli.process import TASK, one_line, run, start, succeed, training, wait_until
+from tests.cli.process import ENVIRONMENT, TASK, one_line, run, start, succeed, training, wait_until
 
 TRAIN = ["train", TASK]
 SWEEP = ["sweep", "nowhere.toml"]
@@ -158,3 +160,22 @@ def test_a_traceback_of_invalid_input_can_be_requested():
 
 def test_version():
     assert run("--version") == (0, f"earl-jax {__version__}\n", "")
+BEFORE_MAIN = """
+import sys
+class Finder:
+    def find_spec(name, *where):
+        if name == "tyro":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Finder)
+import earl_jax.cli
+"""
+
+
+def test_an_interrupt_while_the_package_or_numpy_is_loaded_is_one_line(monkeypatch):
+    process = subprocess.run([sys.executable, "-c", BEFORE_MAIN], env=ENVIRONMENT, capture_output=True, text=True)
+    assert (process.returncode, process.stderr) == (130, "earl-jax: interrupted\n")
+    monkeypatch.setattr(sys, "last_value", KeyboardInterrupt(), raising=False)  # as after numpy printed it
+    monkeypatch.setattr(sys.modules["earl_jax.cli.main"], "_run", Mock(side_effect=ImportError("numpy")))
+    assert run("list") == (130, "", "earl-jax: interrupted\n")
+
+
