@@ -66,7 +66,7 @@ class Program:
 
     def __init__(self, name: str, options: Options):
         algo, *own = name.split()
-        choices = parse_options((*options.set, *own))
+        choices = parse_options(options.set) | parse_options(own)
         problem, self._method, self._state = make_training(options.env, algo, options.lanes, options.steps, **choices)
         _, self._program, seconds = compile_steps(problem, self._method, [self._state], options.chunk)
         self.name, self.room, self._chunk, self._calls = name, options.steps, options.chunk, 1

@@ -6,7 +6,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -116,17 +116,20 @@ def stopping(as_json: bool, values: dict[str, Any]) -> Iterator[None]:
         raise
 
 
-def parse_options(pairs: Iterable[str]) -> dict[str, Any]:
+def parse_options(pairs: Iterable[str], others: Collection[str] = ()) -> dict[str, Any]:
     """Return name=value `pairs` as a dictionary. A value is JSON, or else text, so that names need no quotes.
 
     Raises:
-        ValueError: a pair has no `=`, or a value is a number of thousands of digits or has thousands of brackets.
+        ValueError: a pair has no `=`, its name is in another pair or among `others`, which have an argument of their own,
+            or its value has thousands of digits or brackets.
     """
     options = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals:
             raise InputError(f"--set takes name=value, not {pair!r}")
+        if name in options or name in others:
+            raise InputError(f"{name} is given twice; leave out one of them")
         try:
             options[name] = json.loads(text, parse_float=parse_number)
         except json.JSONDecodeError:

@@ -81,7 +81,9 @@ def train(
         }
         named = {"learner": learner, "setting": setting}
         if config is None:
-            task, method, rules, known_seeds, schedule = _by_name(env, algo, preset, steps, named, set)
+        given = {name: value for name, value in named.items() if value is not None}
+        options = given | parse_options(itertools.chain(*set), [*given, *["engine"] * (engine is not None)])
+            task, method, rules, known_seeds, schedule = _by_name(env, algo, preset, steps, options)
         else:
             _refuse_changes(env, algo=algo, **named, **lengths, preset=preset, set=set)
             task, method, rules, known_seeds, schedule = _of_run(config)
@@ -113,17 +115,16 @@ def refuse_options(arguments: Sequence[str]) -> None:
 
 
 def _by_name(
-    env: str | None, algo: str | None, preset: str | None, steps: int | None, named: dict[str, str | None], pairs: Texts
+    env: str | None, algo: str | None, preset: str | None, steps: int | None, options: dict[str, Any]
 ) -> tuple["Env", "Method", "Setting", int, Schedule]:
-    """Return the task, method, setting, number of seeds and schedule of names, `named` options and name=value `pairs`."""
+    """Return the task, method, setting, number of seeds and schedule of names and `options`."""
     from earl_jax import algos
     from earl_jax.training import api
 
     if env is None:
         raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
     chosen = Preset() if preset is None else named_preset(preset, env, steps)
-    given = {name: value for name, value in named.items() if value is not None}
-    task, rules, options = api.split_options(env, {**chosen.options, **given, **parse_options(itertools.chain(*pairs))})
+    task, rules, options = api.split_options(env, {**chosen.options, **options})
     return task, algos.method_for(task, ALGO if algo is None else algo, **options), rules, chosen.seeds, chosen.schedule
 
 

@@ -134,6 +134,8 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
         ([*TRAIN, "--seed", "3"], ["--seed ", "Perhaps you meant", "--seeds SEEDS"]),
         ([*TRAIN, "--seeds", "10:5"], ["earl-jax: seeds takes a count (5), a range (5:10, without 10) or a list"]),
         ([*TRAIN, "--steps", "1e3", "--eval-every", "3e2"], ["steps 1000 is not a multiple of eval_every 300"]),
+        ([*TRAIN, "--learner", "td3", "--set", "learner=sac"], ["learner is given twice"]),
+        (["train", "sawyer_door", "--engine", "c", "--set", "engine=mjx"], ["engine is given twice"]),
         ([*TRAIN, "--steps", "1.5"], ["1.5", "1e6"]),
         (["resume", "nowhere"], ["not a run folder", "config.json"]),
         (SWEEP, ["nowhere.toml can't be read"]),

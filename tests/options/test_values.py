@@ -121,6 +121,7 @@ def test_an_interval_contains_its_numbers_only(interval, inside, outside):
         (lambda: make("sawyer_door", substeps=10**9), "substeps must lie in [1, 1000]"),
         (lambda: setting_of("deployment", intervention_chance=1.1), "intervention_chance must lie in [0, 1]"),
         (lambda: setting_of("continuing", goal_change=0), "goal_change must lie in [1, 2147483647]"),
+        (lambda: parse_options(("a=1", "b=1", "a=1")), "a is given twice"),
         (lambda: parse_options(("steps=" + 5000 * "9",)), "(5000 characters) is no value"),
         (lambda: parse_options(("steps=" + 100_000 * "[",)), "(100000 characters) is no value"),
     ],
