@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from earl_jax.envs import Env
     from earl_jax.protocol import Setting
     from earl_jax.rendering import VideoLog
+    from earl_jax.report.runs import Curves
 
 
 def train(
@@ -80,9 +81,9 @@ def train(
             "checkpoint_every": checkpoint_every,
         }
         named = {"learner": learner, "setting": setting}
-        if config is None:
         given = {name: value for name, value in named.items() if value is not None}
         options = given | parse_options(itertools.chain(*set), [*given, *["engine"] * (engine is not None)])
+        if config is None:
             task, method, rules, known_seeds, schedule = _by_name(env, algo, preset, steps, options)
         else:
             _refuse_changes(env, algo=algo, **named, **lengths, preset=preset, set=set)
@@ -197,15 +198,27 @@ def _emit_result(result: Any, out: Path, as_json: bool) -> None:
 
 
 def _score(result: Any) -> tuple[dict[str, Any], str]:
-    """Return the score of `result` as JSON values and as text."""
-    from earl_jax.metrics.continuing import DIVERGED, count_diverged, diverged_text
+    """Return the score of `result` as JSON values and as text, a line for each set of hyper-parameters of its seeds."""
+    from earl_jax.metrics.continuing import DIVERGED, count_diverged
     from earl_jax.metrics.deployed import WIDE
+    from earl_jax.report.runs import Curves, by_method, by_values
 
     score = result.score()
-    diverged = count_diverged(result.metrics)
-    values = {score.metric: score._asdict(), DIVERGED: diverged}
-    text = str(score)
+    values = {score.metric: score._asdict(), DIVERGED: count_diverged(result.metrics)}
     if WIDE in result.metrics:
-        wide = result.score(metric=WIDE)
-        values[WIDE], text = wide._asdict(), f"{text}; {wide.mean:.3f} from wide starts"
-    return values, text + diverged_text(diverged, len(score.scores))
+        values[WIDE] = result.score(metric=WIDE)._asdict()
+    parts = by_method(by_values(Curves(result.config, result.steps, result.metrics, (result.folder,))))
+    texts = [f"{part.label}: {_score_text(part)}" for part in parts]
+    return values, f"\n{result.folder.path}: ".join(texts) if len(texts) > 1 else _score_text(parts[0])
+
+
+def _score_text(curves: "Curves") -> str:
+    """Return the score of `curves` in one line, with that from wide starts and the number of diverged seeds, if any."""
+    from earl_jax.metrics.continuing import diverged_text
+    from earl_jax.metrics.deployed import WIDE
+    from earl_jax.metrics.scores import Score
+
+    text = str(Score.of(curves.steps, curves.metrics, curves.deployed_metric))
+    if WIDE in curves.metrics:
+        text += f"; {Score.of(curves.steps, curves.metrics, WIDE).mean:.3f} from wide starts"
+    return text + diverged_text(curves.diverged, curves.seeds)

@@ -59,6 +59,13 @@ def test_new_episodes_are_scored_beside_the_run(finished):
     assert out.splitlines()[-1].startswith("the run: deployed/success ")
 
 
+def test_seeds_with_values_of_their_own_have_a_score_each(tmp_path):
+    lines = succeed(*training(tmp_path / "run", "--set", "learning_rate=[1e-3,3e-4]")).splitlines()
+    starts = [f"{tmp_path / 'run'}: fbrl (learning_rate={value}): deployed/success " for value in ("0.001", "3e-4")]
+    assert [line[: len(start)] for line, start in zip(lines, starts, strict=True)] == starts
+    assert all("mean of 1 seed over" in line for line in lines)
+
+
 def test_a_folder_of_runs_is_told_from_a_run(finished):
     folder = finished[0]
     assert run("show", folder.parent)[2].endswith(f"can be read; did you mean {folder}?\n")
@@ -127,6 +134,8 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
         ([*TRAIN, "--algo", "ppo"], ["unknown method 'ppo'", "naive", "vaprl"]),
         ([*TRAIN, "--set", "gamma=1"], ["no option 'gamma'", "`earl-jax list fbrl`"]),
         ([*TRAIN, "--set", "gamma"], ["name=value"]),
+        ([*TRAIN, "--learner", "td3", "--set", "learner=sac"], ["learner is given twice"]),
+        (["train", "sawyer_door", "--engine", "c", "--set", "engine=mjx"], ["engine is given twice"]),
         ([*TRAIN, "--set", "eval_every=30"], ["beside the options: eval_every=30, or --eval-every 30"]),
         ([*TRAIN, "--set", "seeds=3"], ["beside the options: seeds=3, or --seeds 3"]),
         ([*TRAIN, "--learning-rate=1e-3"], ["--learning-rate is an option", "--set learning_rate=VALUE"]),
@@ -134,8 +143,6 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
         ([*TRAIN, "--seed", "3"], ["--seed ", "Perhaps you meant", "--seeds SEEDS"]),
         ([*TRAIN, "--seeds", "10:5"], ["earl-jax: seeds takes a count (5), a range (5:10, without 10) or a list"]),
         ([*TRAIN, "--steps", "1e3", "--eval-every", "3e2"], ["steps 1000 is not a multiple of eval_every 300"]),
-        ([*TRAIN, "--learner", "td3", "--set", "learner=sac"], ["learner is given twice"]),
-        (["train", "sawyer_door", "--engine", "c", "--set", "engine=mjx"], ["engine is given twice"]),
         ([*TRAIN, "--steps", "1.5"], ["1.5", "1e6"]),
         (["resume", "nowhere"], ["not a run folder", "config.json"]),
         (SWEEP, ["nowhere.toml can't be read"]),
@@ -160,8 +167,6 @@ def test_a_traceback_of_invalid_input_can_be_requested():
         cli.main(["train", "nowhere", "--traceback"])
 
 
-def test_version():
-    assert run("--version") == (0, f"earl-jax {__version__}\n", "")
 BEFORE_MAIN = """
 import sys
 class Finder:
@@ -181,3 +186,5 @@ def test_an_interrupt_while_the_package_or_numpy_is_loaded_is_one_line(monkeypat
     assert run("list") == (130, "", "earl-jax: interrupted\n")
 
 
+def test_version():
+    assert run("--version") == (0, f"earl-jax {__version__}\n", "")
