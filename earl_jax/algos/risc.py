@@ -40,13 +40,13 @@ class RISC(FBRL):
     """1: one agent with both demonstrations, as released; 2: one for each direction."""
     switching: bool = struct.field(pytree_node=False, default=True)
     """Whether phases end early; False is the paper's ablation, which has no success critics."""
-    conservative_factor: float = struct.field(default=0.9, metadata=within("[0, 1]"))
+    conservative_factor: float = struct.field(default=0.9, metadata=within("[0, 1]", switching=False))
     """k (released; Minitaur: 0.95)."""
-    earliest_switch: float = struct.field(default=0.5, metadata=within("[0, 1]"))
+    earliest_switch: float = struct.field(default=0.5, metadata=within("[0, 1]", switching=False))
     """Share of H_E before which no phase is left (released: tabletop and peg 0.5, door 0.75, Minitaur 0.25)."""
-    switch_share: float = struct.field(default=1.0, metadata=within("[0, 1]"))
+    switch_share: float = struct.field(default=1.0, metadata=within("[0, 1]", switching=False))
     """Factor on the probability (released: tabletop and door 1, peg 0.5, Minitaur 0.25)."""
-    value_samples: int = struct.field(pytree_node=False, default=5, metadata=within("[1, 1024]"))
+    value_samples: int = struct.field(pytree_node=False, default=5, metadata=within("[1, 1024]", switching=False))
     """Number of actions over which p is averaged (released)."""
 
     name: ClassVar[str] = "risc"

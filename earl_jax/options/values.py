@@ -61,9 +61,9 @@ EPISODES = Interval("[1, 100000]", whole=True)
 """The valid numbers of episodes of an evaluation."""
 
 
-def within(interval: str | Interval) -> dict[str, Interval]:
-    """Return the metadata of a field whose values lie in `interval`, such as `[0, 1)`."""
-    return {"interval": Interval(interval) if isinstance(interval, str) else interval}
+def within(interval: str | Interval, **unless: Any) -> dict[str, Any]:
+    """Return the metadata of a field in `interval`, such as `[0, 1)`, that has an effect `unless` another has a value."""
+    return {"interval": Interval(interval) if isinstance(interval, str) else interval, "unless": unless}
 
 
 def require(name: str, value: Any, interval: Interval) -> None:

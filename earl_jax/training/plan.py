@@ -61,7 +61,7 @@ def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: i
     """Return the plan of a program with `lanes` lanes on `devices` devices, as in `lane_mesh`.
 
     A `RunWarning` says so if the method learns in none of the `steps`, if the chunks make its refreshes more frequent, or
-    if options for demonstrations or cloning have no effect.
+    if options have no effect.
 
     Raises:
         ValueError: `steps` is no multiple of the protocol's `eval_every`, a task lacks the demonstrations that a method
@@ -94,13 +94,30 @@ def _surprises(problem: Problem, method: Method, steps: int, chunk: int) -> Iter
     if unused and not len(demo_rows(problem, method).rows):
         names, where = " and ".join(unused), f"{method.name} has no demonstrations on {problem.env.name}"
         yield f"{names} without effect: {where}"
-    if not learner.pretrain_steps and getattr(learner, "pretrain_log_std", None) is not None:
-        yield "pretrain_log_std without effect: pretrain_steps is 0"
+    yield from _unused(method, type(method))
+    yield from _unused(learner, type(method).learner)
+
+
+def _unused(options: Any, preset: Any) -> Iterator[str]:
+    """Yield which fields of `options` differ from `preset`, or else their default, though another one's value disables them."""
+    for field in dataclasses.fields(options):
+        value, default = getattr(options, field.name), getattr(preset, field.name, field.default)
+        for name, off in field.metadata.get("unless", {}).items():
+            is_known = value is not None and not isinstance(value, Tracer)
+            if is_known and not _all_equal(value, default) and _all_equal(getattr(options, name), off):
+                yield f"{field.name} without effect: {name} is {off}"
 
 
 def _is_positive(option: Any) -> bool:
     """Return whether an `option` is given and positive in a lane, as far as no trace hides it."""
     return option is not None and not isinstance(option, Tracer) and np.max(option) > 0
+
+
+def _all_equal(option: Any, value: Any) -> bool:
+    """Return whether an `option` has the `value` in all lanes, up to float32, as far as no trace hides it."""
+    if isinstance(option, Tracer) or option is None or value is None:
+        return option is value
+    return np.allclose(option, value, rtol=1e-6, atol=0.0)
 
 
 def per_lane(options: Options, lanes: int) -> Options:

@@ -66,6 +66,14 @@ def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_the
         ("fish_swim", "naive", {"demo_share": [0.0, 0.5]}, {"demo_share": [0.0, 0.0]}, "demo_share without effect"),
         ("tabletop_organization", "naive", {"pretrain_log_std": [-2.0, -1.0]}, {"pretrain_log_std": -2.0, "pretrain_steps": 1},
          "pretrain_log_std without effect: pretrain_steps is 0"),
+        ("tabletop_organization", "naive", {"cloning": 1.0, "cloning_steps": 9}, {"cloning": 1.0, "cloning_final": 0.0},
+         "cloning_steps without effect: cloning_final is None"),
+        ("tabletop_organization", "naive", {"fixed_temperature": True, "entropy_per_action": [-0.5, -1]},
+         {"fixed_temperature": True}, "entropy_per_action without effect: fixed_temperature is True"),
+        ("tabletop_organization", "naive", {"learner": "td3", "target_noise": 0.0, "noise_clip": 0.1},
+         {"learner": "td3", "noise_clip": 0.1}, "noise_clip without effect: target_noise is 0.0"),
+        ("tabletop_organization", "risc", {"switching": False, "switch_share": 0.2}, {"switch_share": 0.2},
+         "switch_share without effect: switching is False"),
     ],
 )  # fmt: skip
 def test_what_the_options_of_a_run_do_not_say_is_warned_of(task, algo, options, changes, message):

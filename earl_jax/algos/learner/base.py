@@ -73,16 +73,16 @@ class Learner(OptionsNode, abc.ABC):
     """Number of uniformly random actions, without updates, at the start of a lifetime (paper)."""
     pretrain_steps: int = struct.field(pytree_node=False, default=0, metadata=within(COUNT_OR_NEVER))
     """Cloning steps before the first step of the lifetime, each on a batch of demonstrated steps; 0 as in EARL."""
-    pretrain_rate: float = struct.field(default=1e-3, metadata=within("(0, 1]"))
+    pretrain_rate: float = struct.field(default=1e-3, metadata=within("(0, 1]", pretrain_steps=0))
     """Adam's step size in these steps."""
     cloning: float | None = struct.field(default=None, metadata=within("[0, 1000000]"))
     """Weight, relative to `reward_scale`, of a cloning term in the actor's loss: the mean squared distance of the greedy
     action to demonstrated actions of the batch. None: no such term, as in EARL."""
     cloning_final: float | None = struct.field(default=None, metadata=within("[0, 1000000]"))
     """That weight at the end of its linear schedule; None: it stays."""
-    cloning_start: int = struct.field(pytree_node=False, default=0, metadata=within(COUNT_OR_NEVER))
+    cloning_start: int = struct.field(pytree_node=False, default=0, metadata=within(COUNT_OR_NEVER, cloning_final=None))
     """Step of the lifetime at which the schedule begins."""
-    cloning_steps: int = struct.field(pytree_node=False, default=300_000, metadata=within(COUNT))
+    cloning_steps: int = struct.field(pytree_node=False, default=300_000, metadata=within(COUNT, cloning_final=None))
     """Steps of the schedule."""
 
     precision: str = struct.field(pytree_node=False, default="tf32")

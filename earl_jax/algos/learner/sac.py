@@ -56,7 +56,7 @@ class SAC(Learner):
     fixed_temperature: bool = struct.field(pytree_node=False, default=False)
     """Whether alpha stays at `initial_temperature`, as in the first version of SAC (arXiv 1801.01290), which the paper
     cites for its figure 2; that version also learns a state value, which this learner lacks."""
-    entropy_per_action: float = struct.field(default=-0.5, metadata=within("[-100, 100]"))
+    entropy_per_action: float = struct.field(default=-0.5, metadata=within("[-100, 100]", fixed_temperature=True))
     """Target entropy divided by the action size (released code: -|A|/2; not given in the paper)."""
     hidden_sizes: tuple[int, ...] = struct.field(pytree_node=False, default=(256, 256), metadata=within("[1, 65536]"))
     """Widths of the ReLU layers of actor and critics (paper)."""
@@ -70,7 +70,7 @@ class SAC(Learner):
     """Number of these critics, drawn anew for each update, whose minimum is the target (REDQ, RLPD: 2, or 1)."""
     backup_entropy: bool = struct.field(pytree_node=False, default=True)
     """Whether the target has the entropy term (paper); RLPD omits it on sparse tasks."""
-    pretrain_log_std: float | None = struct.field(default=None, metadata=within("[-20, 2]"))
+    pretrain_log_std: float | None = struct.field(default=None, metadata=within("[-20, 2]", pretrain_steps=0))
     """Log standard deviation of the policy after the steps of `pretrain_steps`, with a gradient from then on; None: the
     one that they leave, which the cloning does not fit."""
 

@@ -48,7 +48,7 @@ class TD3(Learner):
     """Standard deviation of the noise on actions in the lifetime (TD3)."""
     target_noise: float = struct.field(default=0.2, metadata=within("[0, 10]"))
     """Standard deviation of the noise on the target policy's actions (TD3)."""
-    noise_clip: float = struct.field(default=0.5, metadata=within("[0, 10]"))
+    noise_clip: float = struct.field(default=0.5, metadata=within("[0, 10]", target_noise=0.0))
     """Largest absolute value of that noise (TD3)."""
     hidden_sizes: tuple[int, ...] = struct.field(pytree_node=False, default=(256, 256), metadata=within("[1, 65536]"))
     """Widths of the ReLU layers of actor and critics (EARL)."""
