@@ -5,7 +5,6 @@ The links of the page are checked with those of all pages, in tests/test_docs.py
 
 import dataclasses
 import importlib
-import inspect
 import json
 import re
 from collections import Counter
@@ -13,8 +12,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from earl_jax import algos, assets, envs, protocol, training
-from earl_jax.paper import reproduce
+from earl_jax import algos, assets, envs, protocol
 from tests.test_docs import DOCS, PAGES, ROOT, table_rows
 
 PAGE = DOCS / "developers" / "coverage.md"
@@ -170,8 +168,6 @@ MEASURED = {
         lambda: list(Counter(map(tuple, demonstrated_goals("tabletop_organization"))).values()),
         [3, 3, 3, 3],
     ),
-    "seeds": (lambda: [reproduce.SCALES["full"].seeds, default(training.train, "seeds")], [5, 5]),
-    "evaluations": (lambda: [default(training.train, f"eval_{name}") for name in ("every", "episodes")], [10_000, 10]),
     "steps": (
         lambda: [int(steps) for steps in published("steps", "env", "low").values()],
         [2_500_000, 4_000_000, 4_300_000, 5_000_000, 5_000_000, 3_000_000],
@@ -189,10 +185,6 @@ def demonstrated_goals(name: str) -> Any:
     """Return the goals [D, g] of the forward demonstrations of a task."""
     demos = envs.make(name).demonstrations.load("forward")
     return demos.goals[demos.ends]
-
-
-def default(function: Any, name: str) -> Any:
-    return inspect.signature(function).parameters[name].default
 
 
 @pytest.mark.parametrize("name", MEASURED)
