@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from earl_jax.protocol import Attempt, Protocol, Rules, advance_rules, reset_where
-from tests.conftest import assert_equal_trees
+from earl_jax.protocol import Attempt, Protocol, Rules, advance_rules
 from tests.envs.chain import Chain
 
 GOAL = 3
@@ -87,12 +86,6 @@ def test_a_goal_change_ends_an_attempt_at_the_task_and_not_a_return():
     assert step_end(state_at(1), TASK, rules, 5) == {"goal_changes", "timeout", "phase_ended", "task_restarts"}
     assert step_end(state_at(1), returning, rules, 5) == {"goal_changes"}
     assert step_end(state_at(GOAL), returning, rules, 5) == {"goal_changes", "reached", "phase_ended"}
-
-
-def test_reset_where_selects_the_state_after_an_intervention():
-    env, state, key = Chain(start=2), state_at(1), jax.random.key(0)
-    assert_equal_trees(reset_where(jnp.asarray(False), env, key, state), state)
-    assert_equal_trees(reset_where(jnp.asarray(True), env, key, state), env.reset(key))
 
 
 def test_a_protocol_refuses_invalid_numbers():
