@@ -12,22 +12,12 @@ from earl_jax.envs import HelpBudget
 from earl_jax.errors import InputError
 from earl_jax.protocol import Continuing, Deployment, Setting
 from earl_jax.runs.config import RunConfig
-from tests.conftest import assert_equal_trees, make_config, tiny_method, tiny_options
+from tests.conftest import make_config, tiny_method
 
 
 def through_json(config):
     """Return `config` as it comes back from config.json."""
     return RunConfig(**json.loads(json.dumps(dataclasses.asdict(config))))
-
-
-def test_options_of_task_and_method_are_restored():
-    env = earl_jax.make("tabletop_organization", reward_type="dense", wide=True)
-    method = earl_jax.make_algo("naive", **tiny_options("naive", reward_scale=0.1))
-    config = through_json(make_config(env, method))
-    assert config.env_options == {"reward_type": "dense", "wide": True}
-    assert config.build_env() == env
-    assert_equal_trees(config.build_method(), method)
-    assert (config.env_class, config.algo_class) == (None, None)
 
 
 def test_numbers_of_numpy_are_recorded_as_plain_ones():

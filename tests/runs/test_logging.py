@@ -138,25 +138,22 @@ class ListLog:
         self.closed += 1
 
 
-def test_any_object_with_log_and_close_is_a_log(tmp_path):
+class Shifted(ListLog):
+    """A log that changes its metrics, which are those of no other log."""
+
+    def log(self, step, metrics):
+        metrics["deployed/success"] += 2.0
+        metrics.clear()
+
+
+def test_any_object_with_log_and_close_is_a_log_and_changes_the_metrics_of_no_other(tmp_path):
     log = ListLog()
-    result = tiny_train("naive", logs=[log, "tensorboard"], out=tmp_path / "run")
+    result = tiny_train("naive", logs=[Shifted(), log, "tensorboard"], out=tmp_path / "run")
     assert log.closed == 1
+    assert result.metrics["deployed/success"].max() <= 1.0
     np.testing.assert_array_equal(np.stack(log.successes, axis=1), result.metrics["deployed/success"])
     assert RunFolder.open(tmp_path / "run").logs == ("tensorboard",)
     assert list((tmp_path / "run/tensorboard").iterdir())
-
-
-def test_a_log_that_changes_its_metrics_changes_those_of_no_other_log_and_no_result():
-    class Shifted(ListLog):
-        def log(self, step, metrics):
-            metrics["deployed/success"] += 2.0
-            metrics.clear()
-
-    log = ListLog()
-    result = tiny_train("naive", logs=[Shifted(), log])
-    assert np.max(log.successes) <= 1.0
-    assert result.metrics["deployed/success"].max() <= 1.0
 
 
 def test_a_log_that_cannot_be_closed_costs_no_result_and_the_others_are_closed():
