@@ -109,18 +109,6 @@ def test_a_command_that_is_interrupted_ends_with_one_line_and_the_code_of_the_si
     assert (code, err.count("\n")) == (130, 1)
 
 
-def test_a_run_whose_minutes_run_out_continues_bit_identically(whole, tmp_path, monkeypatch):
-    folder = tmp_path / "run"
-    with monkeypatch.context() as patch:
-        call_after(patch, 3, lambda: put_clock_forward(patch))
-        result = tiny_train("vaprl", out=folder, checkpoint_every=40, minutes=30)
-    assert (result.step, result.finished, result.steps.tolist()) == (60, False, [40])
-    assert (len(result.scores.final), result.metrics["deployed/success"].shape) == (2, (2, 1))
-    assert (folder / "checkpoints/000000060").is_dir()
-    assert resume(folder, minutes=30).finished
-    assert_same_files(folder, whole)
-
-
 def test_minutes_that_run_out_in_an_evaluation_end_training_there(tmp_path, monkeypatch):
     evaluate = runner._evaluate
 
