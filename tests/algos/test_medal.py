@@ -50,6 +50,7 @@ def test_the_classifier_separates_two_clouds_and_rewards_the_demonstrated_one(me
     assert (other < 0).all()
     assert float(after.loss) < float(first.loss)
     assert float(after.accuracy) > 0.85
+    assert after.metrics == {"classifier_loss": after.loss, "classifier_accuracy": after.accuracy}
 
 
 def test_mixup_takes_rows_and_labels_in_the_same_shares():

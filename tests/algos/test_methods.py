@@ -24,8 +24,6 @@ from tests.conftest import (
     run_whole,
     take_lane,
     tiny_method,
-    tiny_train,
-    without_shares,
 )
 from tests.envs.chain import Chain
 
@@ -107,15 +105,6 @@ def test_a_method_beyond_the_papers_lives_for_some_steps(algo):
     kernels = [np.asarray(jax.tree.leaves(state.lanes.agent.actor)[-1]) for state in (start, end)]
     moved = np.abs(kernels[1] - kernels[0]).reshape(2, controller_count(method), -1).max(axis=-1)
     assert (moved > 0).all() == (algo != "bc")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("algo", OPTIONS)
-def test_a_method_beyond_the_papers_trains_by_name(algo):
-    result = tiny_train(algo, **OPTIONS[algo])
-    assert all(np.isfinite(values).all() for values in without_shares(result.metrics).values())
-    assert (result.metrics["critic_loss"][:, -1] > 0).all() == (algo != "bc")
-    assert ("medal/classifier_loss" in result.metrics) == (algo == "medal")
 
 
 def test_the_goal_table_holds_tasks_starts_and_every_demonstrated_state(env):

@@ -26,12 +26,17 @@ def test_an_evaluation_repeats_and_changes_nothing_but_the_reward_window(problem
     assert again["deployed/return"].tolist() == metrics["deployed/return"].tolist()
 
 
+class Answer(struct.PyTreeNode):
+    metrics: dict
+
+
 class Reporter(Method):
     shape: tuple = struct.field(pytree_node=False, default=())
     name = "reporter"
 
     def init(self, key, env, goals):
-        return {"metrics": {"answer": jnp.full(self.shape, 42.0)}}
+        metrics = {"answer": jnp.full(self.shape, 42.0)}
+        return Answer(metrics) if self.shape else {"metrics": metrics}
 
 
 class Idle(struct.PyTreeNode):
@@ -55,8 +60,8 @@ class Rest(Learner):
         return agent, {}
 
 
-def test_scalars_in_the_dict_metrics_of_a_method_are_metrics_and_a_learner_without_parameters_is_finite():
-    """The former used to be left out, and the latter a TypeError; tests/algos/test_methods.py has an attribute, MEDAL's."""
+def test_scalars_in_the_metrics_of_a_method_are_metrics_and_a_learner_without_parameters_is_finite():
+    """The metrics of a dict used to be left out, and such a learner a TypeError; those of an object have the wrong shape here."""
     problem = make_problem(Chain(eval_horizon=2), eval_every=40, eval_episodes=1)
     method = per_lane(Reporter(Rest()), 2)
     metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]

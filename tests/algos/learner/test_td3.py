@@ -9,7 +9,7 @@ from earl_jax.algos import make_algo
 from earl_jax.algos.learner.td3 import TD3
 from earl_jax.runs.config import method_options
 from tests.algos.learner.conftest import CHAIN_STATES, ROWS, SIZE, learnt
-from tests.conftest import CHUNK, advance, assert_equal_trees, make_train_state, tiny_method, tiny_train
+from tests.conftest import CHUNK, advance, assert_equal_trees, make_train_state, tiny_method
 
 SMALL = TD3(hidden_sizes=(16,), reward_scale=2.0)
 init = jax.jit(TD3.init, static_argnums=(2, 3))
@@ -119,12 +119,3 @@ def test_td3_learns_in_the_loop_also_where_a_method_reads_its_values(problem):
     end = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK)
     assert (end.lanes.counters.diagnostics["critic_loss"] > 0).all()
     assert end.lanes.method_state.values.any()
-
-
-@pytest.mark.slow
-def test_td3_trains_by_name():
-    result = tiny_train("fbrl", learner="td3")
-    assert isinstance(result.method.learner, TD3)
-    assert result.config.build_method().learner == make_algo("fbrl", **result.config.options).learner
-    assert (result.metrics["critic_loss"][:, -1] > 0).all()
-    assert result.policy(1)(np.zeros(12, np.float32)).shape == (3,)
