@@ -1,5 +1,7 @@
 """Training from Python: results, hyper-parameters, and invalid input."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -112,39 +114,26 @@ def test_an_unknown_misplaced_or_invalid_argument_is_refused_with_the_fix(option
         train(**{"env": "tabletop_organization", "algo": "fbrl", **options})
 
 
-@pytest.mark.parametrize(("first", "later"), [(3, 0), (0, -1)])
-def test_a_goal_outside_the_goal_table_ends_training(first, later):
-    """jax would take the nearest index: such a method used to train on another goal without a word."""
-
-    class Stray(Naive):
-        name = "stray"
-
-        def next_goal(self, key, goals, phase, current, method_state):
-            index = jnp.where(current.goal == current.task, first, later)
-            return GoalIndices(goal=index, task=jnp.where(index == 0, 1, 0))
-
-    with pytest.raises(InputError, match=rf"stray: next_goal returned the indices .*{first or later}.*are 0 to 2"):
-        train(Chain(), Stray(episode_length=5), seeds=1, steps=20, eval_every=20, eval_episodes=1)
-
-
 @pytest.mark.parametrize(
-    ("returned", "message"),
+    ("first", "later", "message"),
     [
-        (GoalIndices(goal=2, task=2), r"next_goal returned the indices \[2\] as the task of its lanes; .* are 0 to 1"),
-        (1, r"next_goal must return GoalIndices\(goal, task\), not an object of .*Tracer"),
+        (GoalIndices(3, 0), GoalIndices(0, 1), "returned the indices .*3.*are 0 to 2"),
+        (GoalIndices(0, 1), GoalIndices(-1, 0), "returned the indices .*-1.*are 0 to 2"),
+        (GoalIndices(2, 2), GoalIndices(2, 2), r"returned the indices \[2\] as the task of its lanes; .* are 0 to 1"),
+        (1, 1, r"must return GoalIndices\(goal, task\), not an object of .*Tracer"),
     ],
 )
-def test_a_task_that_is_no_task_goal_ends_training(returned, message):
-    """The life would earn task reward for reaching an initial state."""
+def test_a_goal_outside_the_goal_table_or_a_task_that_is_no_task_goal_ends_training(first, later, message):
+    """jax would take the nearest index, and the life would earn task reward for reaching an initial state."""
 
     class Stray(Naive):
         name = "stray"
 
         def next_goal(self, key, goals, phase, current, method_state):
-            return jax.tree.map(jnp.asarray, returned)
+            return jax.tree.map(functools.partial(jnp.where, current.goal == current.task), first, later)
 
-    with pytest.raises(InputError, match=f"stray: {message}"):
-        train(Chain(), Stray(), seeds=1, steps=20, eval_every=20, eval_episodes=1)
+    with pytest.raises(InputError, match=f"stray: next_goal {message}"):
+        train(Chain(), Stray(episode_length=5), seeds=1, steps=20, eval_every=20, eval_episodes=1)
 
 
 def test_the_method_of_a_result_trains_again_under_the_options_that_it_had(tmp_path):
