@@ -28,6 +28,7 @@ from earl_jax.training.state import LaneState
 
 PROBES = 16
 """Random observations at which a policy and its NumPy form are compared."""
+_greedy = jax.jit(lambda learner, actor, obs: learner.greedy(actor, obs))
 
 
 class Policy(struct.PyTreeNode, eq=False):
@@ -76,7 +77,7 @@ class Policy(struct.PyTreeNode, eq=False):
             raise InputError(f"obs has shape {obs.shape}, this policy takes (..., {self.obs_size})")
         if self.budget_at is not None:
             obs = jnp.insert(obs, self.budget_at, FULL_BUDGET, axis=-1)
-        action, size = self.learner.greedy(self.actor, obs), self.action_size + (self.budget_at is not None)
+        action, size = _greedy(self.learner, self.actor, obs), self.action_size + (self.budget_at is not None)
         require_result(f"what greedy of {self.learner.name!r} returns", action, (*obs.shape[:-1], size), "number")
         return action[..., : self.action_size]
 

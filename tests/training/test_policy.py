@@ -100,6 +100,20 @@ def test_a_policy_acts_under_strict_promotion_of_types_and_ranks():
         np.testing.assert_array_equal(policy(obs), action)
 
 
+def test_a_policy_is_compiled_once_for_observations_of_a_shape():
+    traced = []
+
+    class Counted(SAC):
+        def greedy(self, actor, obs):
+            traced.append(obs.shape)
+            return super().greedy(actor, obs)
+
+    policy = earl_jax.pretrained(NAME, "fbrl").replace(learner=Counted())
+    for _ in range(3):
+        policy(np.zeros(12))
+    assert traced == [(12,)]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
