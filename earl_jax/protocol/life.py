@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from earl_jax.envs import Env, State
+from earl_jax.envs.checks import check_task
 from earl_jax.envs.wrappers.help_budget import without_help
 from earl_jax.metrics.continuing import Counters, continuing, init_counters
 from earl_jax.metrics.phase_stats import phase_metrics
@@ -91,11 +92,13 @@ def init(
         start: `start(key) -> State` of the life; s0 ~ rho by default.
 
     Raises:
-        ValueError: `attempt_steps` is less than 1, or `env` or `protocol` is another object, such as a setting.
+        ValueError: `attempt_steps` is less than 1, `env` or `protocol` is another object, such as a setting, or a function
+            of `env` returns what training refuses (`envs.checks.check_task`).
     """
     require_object("task", env, Env, or_name=False)
     require_object("protocol", protocol, Protocol, or_name=False)
     require("attempt_steps", attempt_steps, COUNT)
+    check_task(env)
     key, reset_key = jax.random.split(key)
     env_state = (start or env.reset)(reset_key)
     zero = jnp.zeros((), jnp.int32)

@@ -30,10 +30,14 @@ from tests.envs.chain import Chain
         ("success", lambda env, obs: obs[..., 0] > obs[..., 1] + 1, "that equals its goal is a success, but success is"),
     ],
 )  # fmt: skip
-def test_odd_goals_and_functions_are_refused_by_training_and_by_adapters(member, value, message):
+def test_odd_goals_and_functions_are_refused_by_training_adapters_and_a_loop_of_ones_own(member, value, message):
     """A negative distance as the sparse reward used to train on the success bit without a word."""
     env = type("Odd", (Chain,), {member: value})()
-    for use in (lambda: earl_jax.train(env, "naive", seeds=1, steps=40, eval_every=40), lambda: ResetFreeEnv(env)):
+    for use in (
+        lambda: earl_jax.train(env, "naive", seeds=1, steps=40, eval_every=40),
+        lambda: ResetFreeEnv(env),
+        lambda: init(env, Protocol(0, 4), jax.random.key(0)),
+    ):
         with pytest.raises(InputError, match=f"chain: .*{message}"):
             use()
 
