@@ -41,9 +41,10 @@ def optimality_gap(scores: np.ndarray, best: float = 1.0) -> Estimate:
 def performance_profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
     """Return [3, K]: the share of runs above each of `thresholds [K]`, averaged over tasks, and its interval's ends.
 
-    `scores [N, tasks]`.
+    `scores [N, tasks]`; it is nan if a score is.
     """
-    above = _by_task(scores)[:, :, None] > np.asarray(thresholds)
+    scores = _by_task(scores)[:, :, None]
+    above = np.where(np.isnan(scores), np.nan, scores > np.asarray(thresholds))
     shares = resampled(above, np.random.default_rng(0)).mean(axis=(1, 2))
     return np.stack([above.mean(axis=(0, 1)), *np.quantile(shares, [0.025, 0.975], axis=0)])
 

@@ -55,14 +55,16 @@ def stderr(scores: Any) -> Any:
 
 
 def iqm(scores: Any, axis: int | None = None) -> Any:
-    """Return the interquartile mean of `scores`: the mean without the lowest and the highest quarter."""
+    """Return the interquartile mean of `scores`: that without the lowest and the highest quarter; nan if a score is nan."""
     xp = namespace_of(scores)
     scores = xp.asarray(scores)
     scores, position = (scores.ravel(), 0) if axis is None else (scores, axis % scores.ndim)
     low = scores.shape[position] // 4
     high = scores.shape[position] - low
     ordered = np.partition(scores, (low, high - 1), position) if xp is np else xp.sort(scores, position)
-    return xp.mean(ordered[(*[slice(None)] * position, slice(low, high))], axis=position)
+    middle = ordered[(*[slice(None)] * position, slice(low, high))]
+    missing = xp.isnan(scores).any(axis=position)  # nan sorts last, so `middle` can lack it
+    return xp.mean(middle, axis=position) + xp.where(missing, xp.nan, 0.0)
 
 
 def bootstrap(scores: Any, statistic=iqm) -> tuple[Any, Any]:

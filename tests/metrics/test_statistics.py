@@ -123,6 +123,8 @@ def test_metrics_of_a_batch_of_runs_in_one_program_equal_numpys():
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=2e-6, atol=2e-6), actual, expected)
 
 
-def test_a_score_that_is_not_finite_propagates_on_the_device():
-    summary = jax.jit(summarise)(jnp.array([0.0, np.nan, 1.0]))
-    assert np.isnan([summary.mean, summary.iqm, summary.low]).all()
+def test_a_score_that_is_nan_propagates():
+    scores = np.array([0.0, np.nan, 1.0, 0.5, 0.5])  # the interquartile mean of five has no place for the last one
+    summary = jax.jit(summarise)(jnp.asarray(scores))
+    assert np.isnan([summary.mean, summary.iqm, summary.low, iqm(scores)]).all()
+    assert np.isnan([*optimality_gap(scores), *performance_profile(scores, np.array([0.4])).ravel()]).all()
