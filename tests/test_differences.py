@@ -131,6 +131,7 @@ def test_one_controller_is_tested_from_uniform_starts():
     assert success["difference"] == pytest.approx(-0.6)
     assert loss["difference"] == pytest.approx(0.6)
     assert success["p"] == loss["p"] == pytest.approx(2 / 252)
+    assert loss["mean_low"] + loss["mean_high"] == pytest.approx(2 * loss["mean"]), "a loss is no rate"
     assert differences.starts_rows({differences.TWO: TWO}) == []
 
 

@@ -69,13 +69,13 @@ def starts_rows(runs: dict[str, dict[str, np.ndarray]]) -> list[Row]:
     two, one = runs[TWO], runs[ONE]
     losses = [success["initial"] - success[RELEASED] for success in (two, one)]
     return [
-        _scores_row("success from starts within 2.5", two[RELEASED], one[RELEASED]),
-        _scores_row("success from s0 minus that", *losses),
+        _scores_row("success from starts within 2.5", two[RELEASED], one[RELEASED], rate=True),
+        _scores_row("success from s0 minus that", *losses, rate=False),
     ]
 
 
-def _scores_row(measure: str, scores: np.ndarray, others: np.ndarray) -> Row:
-    own, test = mean_interval(scores, rate=bool((scores >= 0).all())), comparison_columns(scores, others)
+def _scores_row(measure: str, scores: np.ndarray, others: np.ndarray, rate: bool) -> Row:
+    own, test = mean_interval(scores, rate), comparison_columns(scores, others)
     return {
         "env": TABLETOP, "first": f"{TWO}, {measure}", "second": ONE, "steps": training_steps(TABLETOP),
         "seeds": len(scores), "other_seeds": len(others), "mean": own.value, "mean_low": own.low, "mean_high": own.high,
