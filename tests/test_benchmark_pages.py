@@ -53,6 +53,7 @@ def test_the_grid_has_our_score_above_the_published_one_and_the_verdict_with_the
     rows = [
         cell(DOOR, "naive", "above"),
         cell(DOOR, "fbrl", steps=0.24),
+        cell(DOOR, "r3l", steps=0.96),
         cell("minitaur_pen", "oracle", "not compared at 80 % of the published steps", 0.8, -2895.4),
         cell("dhand_lightbulb", "fbrl", "not compared: the task is our reconstruction", 0.044, -330.9),
         {"env": "sawyer_peg", "algo": "naive", "seeds": None},
@@ -60,6 +61,8 @@ def test_the_grid_has_our_score_above_the_published_one_and_the_verdict_with_the
     parts = [line.split(" | ") for line in grid.text(rows).splitlines() if "|" in line]
     lines = {task.strip("| "): cells for task, *cells in parts}
     assert lines["Sawyer door"][:2] == ["**0.50**<br>0.25<br>▲ above", "**0.50**<br>0.25<br>? cannot tell at 24 %"]
+    assert lines["Sawyer door"][2].endswith("cannot tell"), "its steps are 96 %"
+    assert "given where it is below 95 %" in grid.text(rows).replace("\n", " ")
     assert lines["Minitaur pen"][-1] == "**-2,895**<br>-42<br>not compared at 80 % |"
     assert lines["DHand lightbulb"][1] == "**-331**<br>not compared at 4.4 %"
     assert lines["Sawyer peg"][0] == "not run"
