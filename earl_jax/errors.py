@@ -1,6 +1,7 @@
 """The error that means invalid input, as opposed to an error in the code of a task, of a method or of this package."""
 
 import importlib
+import inspect
 import itertools
 import re
 import reprlib
@@ -66,6 +67,25 @@ def check_spelling(cls: type) -> None:
         if not name.startswith("_") and (near := get_close_matches(name, known, 1, SIMILAR)):
             remedy = f"did you mean {near[0]!r}? If not, choose a name that is less like it"
             raise InputError(f"{cls.__name__}.{name} overrides nothing; {remedy}")
+
+
+def check_parameters(cls: type) -> None:
+    """Raise an InputError if a method of `cls` overrides one of this package and takes other arguments, or another order."""
+    for name, own in vars(cls).items():
+        known = [vars(base).get(name) for base in cls.__mro__[1:] if base.__module__.startswith(f"{PACKAGE.name}.")]
+        overridden = [value for value in known if _is_method(value)]
+        if name.startswith("_") or not overridden or not _is_method(own):
+            continue
+        expected, given = (inspect.signature(function).parameters for function in (overridden[-1], own))
+        takes_any = any(parameter.kind is inspect.Parameter.VAR_POSITIONAL for parameter in given.values())
+        needed = [text for text, value in given.items() if text in expected or value.default is inspect.Parameter.empty]
+        moved = any(text in expected and text != wanted for text, wanted in zip(needed, expected, strict=False))
+        if not takes_any and (moved or len(needed) != len(expected)):
+            raise InputError(f"{cls.__name__}.{name} must take ({', '.join(expected)}), not ({', '.join(given)})")
+
+
+def _is_method(value: Any) -> bool:
+    return callable(value) and not isinstance(value, type | staticmethod | classmethod)
 
 
 def require_known(kind: str, name: Any, names: Collection[str]) -> None:

@@ -4,7 +4,6 @@ The defaults are naive RL's with episodes of H_E steps.
 """
 
 import dataclasses
-import inspect
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -95,14 +94,6 @@ class Method(OptionsNode):
     """Transitions of the last controller's own, no demonstrations, that `refresh` receives; 0 for none."""
     later_steps: ClassVar[int] = 0
     """Mean number of steps to the states `later` that `prepare` receives, for hindsight goals; 0 for none."""
-
-    def __init_subclass__(cls, **options: Any):
-        super().__init_subclass__(**options)
-        for name in FUNCTIONS & vars(cls).keys():
-            expected, own = (inspect.signature(getattr(of, name)).parameters for of in (Method, cls))
-            takes_any = any(parameter.kind is inspect.Parameter.VAR_POSITIONAL for parameter in own.values())
-            if not takes_any and list(own) != list(expected):
-                raise InputError(f"{cls.__name__}.{name} must take ({', '.join(expected)}), not ({', '.join(own)})")
 
     @property
     def phases(self) -> tuple[Phase, ...]:

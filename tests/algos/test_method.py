@@ -8,16 +8,19 @@ from earl_jax.envs import KinematicEnv
 from earl_jax.errors import InputError
 
 
-def test_a_function_with_other_parameters_is_an_error_when_the_class_is_defined():
-    with pytest.raises(
-        ValueError, match=r"Careless\.next_goal must take \(self, key, goals, phase, .*\), not \(self, key"
-    ):
-
-        class Careless(Method):
-            name = "careless"
-
-            def next_goal(self, key, phase, goals, current, method_state):  # pyright: ignore[reportIncompatibleMethodOverride]
-                return current
+@pytest.mark.parametrize(
+    ("base", "name", "wrong", "expected"),
+    [
+        (Method, "act", lambda self, key, env, obs, actor, moment, method_state: obs, "self, key, env, actor, obs, .*"),
+        (KinematicEnv, "transition", lambda self, action, state: state, "self, state, action"),
+        (SAC, "update", lambda self, key, batch: batch, "self, key, agent, batch"),
+    ],
+)
+def test_a_function_with_other_parameters_is_an_error_when_the_class_is_defined(base, name, wrong, expected):
+    with pytest.raises(InputError, match=rf"Careless\.{name} must take \({expected}\), not \(self, "):
+        type("Careless", (base,), {name: wrong})
+    type("Careful", (base,), {name: lambda *arguments: arguments[1]})
+    type("Careful", (KinematicEnv,), {"reset": lambda env, rng, wide=False: rng})
 
 
 @pytest.mark.parametrize(
