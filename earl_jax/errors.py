@@ -73,7 +73,7 @@ def check_parameters(cls: type) -> None:
     """Raise an InputError if a method of `cls` overrides one of this package and takes other arguments, or another order."""
     for name, own in vars(cls).items():
         known = [vars(base).get(name) for base in cls.__mro__[1:] if base.__module__.startswith(f"{PACKAGE.name}.")]
-        overridden = [value for value in known if _is_method(value)]
+        overridden: list[Any] = [value for value in known if _is_method(value)]
         if name.startswith("_") or not overridden or not _is_method(own):
             continue
         expected, given = (inspect.signature(function).parameters for function in (overridden[-1], own))

@@ -7,6 +7,11 @@ from typing import Any
 
 from earl_jax.errors import InputError, choices
 
+ARGUMENTS = frozenset(
+    {"env", "name", "algo", "setting", "seeds", "steps", "eval_every", "eval_episodes", "checkpoint_every"}
+    | {"out", "logs", "overwrite", "progress", "devices", "minutes"}
+)
+"""Parameters of the functions that take options by name; an option called so could not be set."""
 REGISTERED: list[type] = []
 """The classes that were registered in this process, of every kind."""
 
@@ -104,6 +109,12 @@ class Registry:
         if not isinstance(factory, type) or not issubclass(factory, base) or not dataclasses.is_dataclass(factory):
             kind = f"a dataclass and a subclass of {base.__name__}"
             raise InputError(f"{self.noun} {name!r}: {source} must be {kind}, not {factory!r}")
+        if missing := ", ".join(sorted(getattr(factory, "__abstractmethods__", ()))):
+            raise InputError(f"{self.noun} {name!r}: {source} lacks {missing}")
+        if taken := ", ".join(sorted(ARGUMENTS & {field.name for field in dataclasses.fields(factory)})):
+            raise InputError(
+                f"{self.noun} {name!r}: {source} has an option called as an argument of train, {taken}; rename it"
+            )
         own = getattr(factory, "name", None)
         if own != name:
             raise InputError(

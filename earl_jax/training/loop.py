@@ -28,6 +28,7 @@ from earl_jax.algos.method import (
 from earl_jax.envs import Map, State
 from earl_jax.envs.checks import require_result
 from earl_jax.envs.state import tree_where
+from earl_jax.errors import InputError
 from earl_jax.physics import PendingStep
 from earl_jax.protocol import Attempt, StepEnd, advance_rules, count_step, reset_where
 from earl_jax.training.demos import demo_rows
@@ -160,6 +161,8 @@ def learn(
         require_result(f"{method.name}: the {name} from prepare", getattr(batch, name), size, "number")
     agent = select_controller(lane.agent, controller)
     agent, method_state, diagnostics = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
+    if (names := sorted(diagnostics)) != (known := sorted(lane.counters.diagnostics)):
+        raise InputError(f"{method.name}: the diagnostics of an update are {names}, but its learner names {known}")
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
     counters = lane.counters.replace(diagnostics=diagnostics)
     learnt = lane.replace(agent=agent, method_state=method_state, counters=counters)

@@ -1,12 +1,14 @@
 """Names of the package, of installed packages, and of registered classes."""
 
+import inspect
 import sys
 
 import pytest
 
-from earl_jax import SAC, envs
+import earl_jax
+from earl_jax import SAC, Learner, envs
 from earl_jax.adapters.earl_benchmark import ORIGINAL_NAMES
-from earl_jax.options.registry import Registry
+from earl_jax.options.registry import ARGUMENTS, Registry
 from tests.conftest import write_files
 
 MEADOW = """
@@ -104,7 +106,16 @@ def test_a_class_is_registered_under_its_own_name_and_with_its_own_kind_only():
         registry.register("table", type(envs.make("tabletop_organization")))
     with pytest.raises(ValueError, match="the registered class must be a dataclass and a subclass of Env, not <class"):
         registry.register("sac", SAC)
+    registry = Registry("learner", "earl_jax.algos.learner.base:Learner", {})
+    with pytest.raises(ValueError, match="learner 'half': the registered class lacks act, greedy, init, update"):
+        registry.register("half", type("Half", (Learner,), {"name": "half"}))
+    with pytest.raises(ValueError, match="has an option called as an argument of train, eval_every; rename it"):
+        registry.register(
+            "own", type("Own", (SAC,), {"name": "own", "eval_every": 1, "__annotations__": {"eval_every": int}})
+        )
     assert registry.names() == []
+    parameters = inspect.signature(earl_jax.train).parameters
+    assert {*parameters, "name"} - {"engine", "options"} == ARGUMENTS
 
 
 def test_a_class_that_a_cell_defines_again_takes_the_place_of_the_earlier_one():

@@ -166,6 +166,9 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
         r"ends_phase returns must be bool\[\], not int32\[\]": {"ends_phase": lambda *_: 2},
         r"ends_phase returns must be bool\[\], not None": {"ends_phase": lambda *_: None},
         r"the reward .*, not float32\[16, 1\]": {"prepare": lambda *of: of[4]._replace(reward=of[4].reward[:, None])},
+        r"the diagnostics of an update are \['loss'\], but its learner names \['critic_loss', ": {
+            "learn": lambda *of: (of[3], of[6], {"loss": jnp.zeros(())})
+        },
     }.items():
         with pytest.raises(ValueError, match=f"odd: .*{message}"):
             jax.eval_shape(functools.partial(lived, **function))
