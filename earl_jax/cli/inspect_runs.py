@@ -10,7 +10,10 @@ from earl_jax.errors import InputError, printable
 from earl_jax.options.values import counted
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from earl_jax.metrics.scores import Window
+    from earl_jax.report.runs import Curves
     from earl_jax.training import Result
 
 
@@ -45,11 +48,14 @@ def show(folder: Positional[Path], last: int | None = None, window: int | None =
 
 
 def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
-    """Return the lines of the summary of `result`, with the mean of every metric over the seeds."""
+    """Return the lines of the summary of `result`, with the mean of every metric over the seeds of equal options."""
+    from earl_jax.report.runs import parts
     from earl_jax.runs.provenance import made_by
 
-    texts = result.summary(window)
+    texts, own = result.summary(window), parts(result)
     del texts["metrics"]
+    if len(own) > 1 and "score" in texts:
+        texts["score"] = f"\n{11 * ' '}".join(_scores(own, window))
     texts |= {
         "made by": printable(f"earl-jax {made_by(values['provenance']) or 'of an unknown version'}"),
         "policies": f"of step {values['policies']:,}" if values["policies"] else "none",
@@ -58,10 +64,27 @@ def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
         if len(result.steps)
         else "none",
     }
+    if len(own) > 1 and len(result.steps):
+        texts["metrics"] += f", a column for each of {'; '.join(part.label for part in own)}"
     lines = [f"{title + ':':<10} {text}" for title, text in texts.items()]
-    means = {printable(name): numbers[:, -1].mean() for name, numbers in result.metrics.items()}
-    width = max(map(len, means), default=0)
-    return "\n".join([*lines, *(f"  {name:<{width}}  {mean:.6g}" for name, mean in means.items())])
+    width = max(map(len, map(printable, result.metrics)), default=0)
+    for name in result.metrics:
+        means = "  ".join(f"{part.metrics[name][:, -1].mean():.6g}" for part in own)
+        lines.append(f"  {printable(name):<{width}}  {means}")
+    return "\n".join(lines)
+
+
+def _scores(parts: "list[Curves]", window: "Window") -> list[str]:
+    """Return the score of each of the `parts` of a run, with its label if there are several."""
+    from earl_jax.metrics.scores import Score
+
+    scores = [str(Score.of(part.steps, part.metrics, part.deployed_metric, window)) for part in parts]
+    return _labelled(parts, scores)
+
+
+def _labelled(parts: "list[Curves]", texts: list[str]) -> list[str]:
+    """Return the text of each of the `parts` of a run, with its label if there are several."""
+    return [f"{part.label}: {text}" for part, text in zip(parts, texts, strict=True)] if len(parts) > 1 else texts
 
 
 def evaluate(
@@ -87,16 +110,22 @@ def evaluate(
     """
     from earl_jax import training
     from earl_jax.metrics.scores import Window
+    from earl_jax.report.runs import parts
 
     chosen, run = Window.of(last, window), training.load(folder)
-    score = run.score(chosen) if len(run.steps) else None
+    score, own = run.score(chosen) if len(run.steps) else None, parts(run)
     metrics = training.evaluate(folder, episodes, seed, engine, starts, pairs)
     lines = [f"the newest policies over {episodes} new episodes each:"]
+    lanes = [[run.seeds.index(seed) for seed in part.config.seeds] for part in own]
     for name, values in metrics.items():
-        lines.append(f"{name} {values.mean():.3f}, per seed {', '.join(f'{value:.3f}' for value in values)}")
+        lines += _labelled(own, [f"{name} {_mean_text(values[of_part])}" for of_part in lanes])
     values = {name: values.tolist() for name, values in metrics.items()}
-    lines.append(f"the run: {score or 'no evaluation yet'}")
+    lines += [f"the run: {text}" for text in (_scores(own, chosen) if score else ["no evaluation yet"])]
     emit({**values, "score": score and score._asdict()}, json, "\n".join(lines))
+
+
+def _mean_text(values: "np.ndarray") -> str:
+    return f"{values.mean():.3f}, per seed {', '.join(f'{value:.3f}' for value in values)}"
 
 
 def plot(

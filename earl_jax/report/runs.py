@@ -133,7 +133,7 @@ def by_values(curves: Curves) -> list[Curves]:
 
     They stay together where the class of the method is not known here.
     """
-    config, folder, lanes = curves.config, curves.runs[0], range(curves.seeds)
+    config, folder, lanes = curves.config, curves.runs[0], range(len(curves.config.seeds))
     try:
         leaves, structure = jax.tree.flatten(config.build_method())
     except InputError:
@@ -224,6 +224,11 @@ def by_method(runs: Sequence[Curves]) -> list[Curves]:
     named = [curves._replace(label=name) for curves, name in zip(runs, labels(runs), strict=True)]
     envs, algos = task_order(curves.env for curves in runs), method_order(curves.algo for curves in runs)
     return sorted(named, key=lambda curves: (envs.index(curves.env), algos.index(curves.algo)))
+
+
+def parts(result: Any) -> list[Curves]:
+    """Return the labelled curves of a `Result` with a folder, apart for each set of hyper-parameters of its seeds."""
+    return by_method(by_values(Curves(result.config, result.steps, result.metrics, (result.folder,))))
 
 
 def options_text(options: dict[str, Any]) -> str:

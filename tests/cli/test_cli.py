@@ -64,6 +64,15 @@ def test_seeds_with_values_of_their_own_have_a_score_each(tmp_path):
     starts = [f"{tmp_path / 'run'}: fbrl (learning_rate={value}): deployed/success " for value in ("0.001", "3e-4")]
     assert [line[: len(start)] for line, start in zip(lines, starts, strict=True)] == starts
     assert all("mean of 1 seed over" in line for line in lines)
+    shown = succeed("show", tmp_path / "run")
+    scores = ("\n" + 11 * " ").join(line.partition(": ")[2].partition(";")[0] for line in lines)
+    assert f"score:     {scores}\n" in shown
+    columns = r"a column for each of fbrl \(learning_rate=0.001\); fbrl \(learning_rate=3e-4\)\n  \S+ +\S+  \S+\n"
+    assert re.search(columns, shown)
+    evaluated = succeed("evaluate", tmp_path / "run", "--episodes", "2")
+    means = re.findall(r"^fbrl \(.*\): deployed/success \d\.\d{3}, per seed \d\.\d{3}$", evaluated, re.MULTILINE)
+    assert len(means) == 2
+    assert evaluated.count("\nthe run: fbrl (learning_rate=") == 2
 
 
 def test_a_folder_of_runs_is_told_from_a_run(finished):
