@@ -53,7 +53,13 @@ def _read_by(read: Callable[[str], Any], kind: type, metavar: str) -> PrimitiveC
 
 
 def _expanded(text: str) -> Path:
-    """Return the path `text`, absolute where only its `./` told it from the user's folder, as in `./~`."""
+    """Return the path `text`, absolute where only its `./` told it from the user's folder, as in `./~`.
+
+    Raises:
+        ValueError: it is empty, as an unset variable of a shell is, and would be the current folder.
+    """
+    if not text:
+        raise ValueError("a path is empty")
     path = Path(os.path.expanduser(text))
     return path.absolute() if str(path).startswith("~") else path
 

@@ -38,7 +38,7 @@ OTHERS = (
     ("evaluate", "run", "--engine", "mjx"), ("evaluate", "run", "--starts", "x"),
     ("table", "run", "--last", "0"), ("table", "run", "--out", "x.exe"), ("table",), ("plot", "run", "--out", "x.exe"), ("plot",),
     ("plot", "run/config.json"), ("report", "run", "--out", "x.txt"), ("report", "run", "--out", "."), ("report", "nowhere"),
-    ("reproduce", "table3"), ("reproduce", "table1", "--scale", "x"), ("reproduce", "table1", "--steps", "-1"),
+    ("table", ""), ("reproduce", "table3"), ("reproduce", "table1", "--scale", "x"), ("reproduce", "table1", "--steps", "-1"),
     ("reproduce", "table1", "--seeds", "1000000000"),
     ("render", "x"), ("demos", "x"), ("import-demos", "nowhere"), ("",), ("x",),
 )  # fmt: skip
