@@ -178,7 +178,8 @@ class RunFolder:
         table = self._table(step)
         missing = sorted(COLUMNS.difference(table.columns))
         if missing and table.step and step:
-            raise self._damaged(table, f"it has no column {', '.join(missing)}")
+            problem = f"it has no column {', '.join(missing)}; restore the file from a copy"
+            raise InputError(f"{self.metrics} is damaged: {problem}")
         return table
 
     def table_until(self, step: int) -> Table:
