@@ -95,6 +95,8 @@ class Workers:
             worker.wait()
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
+        if kind is SystemExit:
+            print("earl-jax: ended by a second signal; repeat the command to continue", file=sys.stderr)
 
     def _stop(self, number: int, frame: object) -> None:
         with self._lock:

@@ -159,8 +159,8 @@ def test_a_signal_or_an_error_ends_all_workers_and_no_other_group_starts(
         stopped = [f"stopped    {name}  the worker ended with code 143" for name in names]
         assert sorted(line for line in lines if line.startswith("stopped  ")) == stopped
         assert lines[-1] == "stopped; repeat the command to continue"
-    saved = [f"saved {name}" for name in names] if saves else []
-    assert sorted(capfd.readouterr().err.splitlines()) == saved
+    ended = ["earl-jax: ended by a second signal; repeat the command to continue"]
+    assert sorted(capfd.readouterr().err.splitlines()) == ([f"saved {name}" for name in names] if saves else ended)
     assert sorted(path.name for path in folder.iterdir()) == list(names)
     for path in folder.iterdir():
         with pytest.raises(ProcessLookupError):
