@@ -80,9 +80,16 @@ def test_the_message_names_the_checkpoint_whose_rows_are_intact(finished):
         "its rows end at step 80, but the newest checkpoint is of step 120; restore the file from a copy, or delete"
     )
     assert f"{expected} checkpoints/000000120 to resume from step 80" in message_of(lambda: resume(finished))
+    (finished / "metrics.csv").write_text(lines[0])
+    again = f"restore the file from a copy, or train again with: earl-jax train --config {finished} --out NEW"
+    assert message_of(lambda: resume(finished)).endswith(again)
+    (finished / "metrics.csv").write_text("".join(lines[:6]))
     shutil.rmtree(finished / "checkpoints/000000120")
     with pytest.raises(AssertionError, match="training started"):
         resume(finished)
+    (finished / "metrics.csv").write_text("".join([lines[0], *lines[2:]]))
+    shutil.rmtree(finished / "checkpoints")
+    assert message_of(lambda: read(finished)).endswith(again)
 
 
 def test_a_run_whose_checkpoints_were_removed_is_not_trained_again(finished):
