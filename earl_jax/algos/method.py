@@ -77,8 +77,8 @@ class Moment(NamedTuple):
 class Method(OptionsNode):
     """A reset-free learning method: its phases, and functions of one lane. Float fields are vmappable leaves.
 
-    Subclasses override what differs from naive RL. A function whose parameters are not those of the base class is an
-    error when the class is defined.
+    Subclasses override what differs from naive RL. A function that takes other arguments, or takes them in another
+    order, is an error when the class is defined.
     """
 
     learner: Learner = SAC()
