@@ -77,14 +77,10 @@ def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
 def _scores(parts: "list[Curves]", window: "Window") -> list[str]:
     """Return the score of each of the `parts` of a run, with its label if there are several."""
     from earl_jax.metrics.scores import Score
+    from earl_jax.report.runs import labelled
 
     scores = [str(Score.of(part.steps, part.metrics, part.deployed_metric, window)) for part in parts]
-    return _labelled(parts, scores)
-
-
-def _labelled(parts: "list[Curves]", texts: list[str]) -> list[str]:
-    """Return the text of each of the `parts` of a run, with its label if there are several."""
-    return [f"{part.label}: {text}" for part, text in zip(parts, texts, strict=True)] if len(parts) > 1 else texts
+    return labelled(parts, scores)
 
 
 def evaluate(
@@ -110,7 +106,7 @@ def evaluate(
     """
     from earl_jax import training
     from earl_jax.metrics.scores import Window
-    from earl_jax.report.runs import parts
+    from earl_jax.report.runs import labelled, parts
 
     chosen, run = Window.of(last, window), training.load(folder)
     score, own = run.score(chosen) if len(run.steps) else None, parts(run)
@@ -118,7 +114,7 @@ def evaluate(
     lines = [f"the newest policies over {episodes} new episodes each:"]
     lanes = [[run.seeds.index(seed) for seed in part.config.seeds] for part in own]
     for name, values in metrics.items():
-        lines += _labelled(own, [f"{name} {_mean_text(values[of_part])}" for of_part in lanes])
+        lines += labelled(own, [f"{name} {_mean_text(values[of_part])}" for of_part in lanes])
     values = {name: values.tolist() for name, values in metrics.items()}
     lines += [f"the run: {text}" for text in (_scores(own, chosen) if score else ["no evaluation yet"])]
     emit({**values, "score": score and score._asdict()}, json, "\n".join(lines))

@@ -201,15 +201,14 @@ def _score(result: Any) -> tuple[dict[str, Any], str]:
     """Return the score of `result` as JSON values and as text, a line for each set of hyper-parameters of its seeds."""
     from earl_jax.metrics.continuing import DIVERGED, count_diverged
     from earl_jax.metrics.deployed import WIDE
-    from earl_jax.report.runs import parts
+    from earl_jax.report.runs import labelled, parts
 
     score = result.score()
     values = {score.metric: score._asdict(), DIVERGED: count_diverged(result.metrics)}
     if WIDE in result.metrics:
         values[WIDE] = result.score(metric=WIDE)._asdict()
     own = parts(result)
-    texts = [f"{part.label}: {_score_text(part)}" for part in own]
-    return values, f"\n{result.folder.path}: ".join(texts) if len(texts) > 1 else _score_text(own[0])
+    return values, f"\n{result.folder.path}: ".join(labelled(own, [_score_text(part) for part in own]))
 
 
 def _score_text(curves: "Curves") -> str:

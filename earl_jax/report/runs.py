@@ -231,6 +231,11 @@ def parts(result: Any) -> list[Curves]:
     return by_method(by_values(Curves(result.config, result.steps, result.metrics, (result.folder,))))
 
 
+def labelled(parts: Sequence[Curves], texts: list[str]) -> list[str]:
+    """Return the text of each of the `parts` of a run, with its label if there are several."""
+    return [f"{part.label}: {text}" for part, text in zip(parts, texts, strict=True)] if len(parts) > 1 else texts
+
+
 def options_text(options: dict[str, Any]) -> str:
     """Return options in one line, or `the defaults` if there are none."""
     return printable(", ".join(f"{name}={value_text(options[name])}" for name in sorted(options))) or "the defaults"
