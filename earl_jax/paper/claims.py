@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.metrics.comparison import CANNOT_TELL
+from earl_jax.metrics.comparison import CANNOT_TELL, Sample
 from earl_jax.paper.artefact import METHODS, Row, methods_on
 from earl_jax.report.comparison import UNTESTED, compared_texts, comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import table_scores
@@ -63,8 +63,8 @@ PROGRESS = {"above": "progress", "below": "decline", CANNOT_TELL: "no progress f
 CLAIM_RULE = (
     "Permutation tests of seeds over the same steps, the published ones of the released seeds (where none were released, "
     "Welch's of the printed numbers). p is adjusted by Holm over the comparisons of a claim on a task. Progress is the score "
-    "at the end of a life minus that at its beginning, of as many evaluations. What a test `would find` is the difference "
-    "that Welch's finds with a probability of 80 %."
+    "at the end of a life minus that at its beginning, of as many evaluations, by the paired t test of seeds. What a test "
+    "`would find` is the difference that Welch's, or the paired one, finds with a probability of 80 %."
 )
 
 
@@ -100,10 +100,10 @@ def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
         return {}
     scores = table_scores(claim.number, first, step)
     if claim.second:
-        others = table_scores(claim.number, second, step)
-    else:  # its first evaluations, as many as the score has at the end
-        others = first.metrics[first.deployed_metric][:, : first.window.count(first.steps)].mean(axis=1)
-    return {"steps": step, **comparison_columns(scores, others)}
+        return {"steps": step, **comparison_columns(scores, table_scores(claim.number, second, step))}
+    beginning = first.metrics[first.deployed_metric][:, : first.window.count(first.steps)].mean(axis=1)
+    none = Sample(0.0, 0.0, len(scores))
+    return {"steps": step, **comparison_columns(Sample.of(scores - beginning), none)}
 
 
 def _printed(claim: Claim) -> Row:

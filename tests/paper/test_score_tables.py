@@ -90,6 +90,7 @@ def test_our_runs_are_tested_by_the_same_claims(tmp_path):
     assert words.pop((DOOR, "vaprl", "naive")) == "opposite to the text"
     assert words == {(TABLETOP, "vaprl", "oracle"): "as the text says", (PEG, "fbrl", None): "progress"}
     assert rows[PEG, "fbrl", None]["difference"] == pytest.approx(0.98)
+    assert rows[PEG, "fbrl", None]["p"] == pytest.approx(stats.ttest_rel(late[:, -5:].mean(axis=1), late[:, 0]).pvalue)
     assert "| Sawyer peg | FBRL, end minus beginning |" in claims_text(1, groups)
     assert "| - | - | - | not run |" in claims_text(1, groups)
 
