@@ -12,7 +12,6 @@ from earl_jax.options.values import counted
 if TYPE_CHECKING:
     import numpy as np
 
-    from earl_jax.metrics.scores import Window
     from earl_jax.report.runs import Curves
     from earl_jax.training import Result
 
@@ -24,11 +23,12 @@ def show(folder: Positional[Path], last: int | None = None, window: int | None =
         folder: Run folder. It needs no checkpoint.
     """
     from earl_jax.metrics.scores import Window
+    from earl_jax.report.runs import part_scores, parts
     from earl_jax.training.loading import policies_at
     from earl_jax.training.result import load
 
     result, chosen = load(folder), Window.of(last, window)
-    run = result.folder
+    run, own = result.folder, parts(result, chosen)
     assert run is not None
     values = {
         "folder": str(folder),
@@ -43,19 +43,18 @@ def show(folder: Positional[Path], last: int | None = None, window: int | None =
         "load": f"earl_jax.load({str(folder)!r})",
     }
     with contextlib.suppress(InputError):  # no evaluation yet
-        values["score"] = result.score(chosen)._asdict()
-    emit(values, json, _text(result, values, chosen))
+        values |= {"score": result.score(chosen)._asdict(), **part_scores(own)}
+    emit(values, json, _text(result, values, own))
 
 
-def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
-    """Return the lines of the summary of `result`, with the mean of every metric over the seeds of equal options."""
-    from earl_jax.report.runs import parts
+def _text(result: "Result", values: dict[str, Any], own: "list[Curves]") -> str:
+    """Return the lines of the summary of `result`, with the mean of every metric over the seeds of each of its parts `own`."""
     from earl_jax.runs.provenance import made_by
 
-    texts, own = result.summary(window), parts(result)
+    texts = result.summary(own[0].window)
     del texts["metrics"]
     if len(own) > 1 and "score" in texts:
-        texts["score"] = f"\n{11 * ' '}".join(_scores(own, window))
+        texts["score"] = f"\n{11 * ' '}".join(_scores(own))
     texts |= {
         "made by": printable(f"earl-jax {made_by(values['provenance']) or 'of an unknown version'}"),
         "policies": f"of step {values['policies']:,}" if values["policies"] else "none",
@@ -74,13 +73,11 @@ def _text(result: "Result", values: dict[str, Any], window: "Window") -> str:
     return "\n".join(lines)
 
 
-def _scores(parts: "list[Curves]", window: "Window") -> list[str]:
+def _scores(parts: "list[Curves]") -> list[str]:
     """Return the score of each of the `parts` of a run, with its label if there are several."""
-    from earl_jax.metrics.scores import Score
     from earl_jax.report.runs import labelled
 
-    scores = [str(Score.of(part.steps, part.metrics, part.deployed_metric, window)) for part in parts]
-    return labelled(parts, scores)
+    return labelled(parts, [str(part.score()) for part in parts])
 
 
 def evaluate(
@@ -106,18 +103,19 @@ def evaluate(
     """
     from earl_jax import training
     from earl_jax.metrics.scores import Window
-    from earl_jax.report.runs import labelled, parts
+    from earl_jax.report.runs import labelled, part_scores, parts
 
     chosen, run = Window.of(last, window), training.load(folder)
-    score, own = run.score(chosen) if len(run.steps) else None, parts(run)
+    score, own = run.score(chosen) if len(run.steps) else None, parts(run, chosen)
     metrics = training.evaluate(folder, episodes, seed, engine, starts, pairs)
     lines = [f"the newest policies over {episodes} new episodes each:"]
     lanes = [[run.seeds.index(seed) for seed in part.config.seeds] for part in own]
     for name, values in metrics.items():
         lines += labelled(own, [f"{name} {_mean_text(values[of_part])}" for of_part in lanes])
     values = {name: values.tolist() for name, values in metrics.items()}
-    lines += [f"the run: {text}" for text in (_scores(own, chosen) if score else ["no evaluation yet"])]
-    emit({**values, "score": score and score._asdict()}, json, "\n".join(lines))
+    lines += [f"the run: {text}" for text in (_scores(own) if score else ["no evaluation yet"])]
+    scores = {"score": score._asdict(), **part_scores(own)} if score else {"score": None}
+    emit({**values, **scores}, json, "\n".join(lines))
 
 
 def _mean_text(values: "np.ndarray") -> str:

@@ -201,23 +201,24 @@ def _score(result: Any) -> tuple[dict[str, Any], str]:
     """Return the score of `result` as JSON values and as text, a line for each set of hyper-parameters of its seeds."""
     from earl_jax.metrics.continuing import DIVERGED, count_diverged
     from earl_jax.metrics.deployed import WIDE
-    from earl_jax.report.runs import labelled, parts
+    from earl_jax.report.runs import labelled, part_scores, parts
 
     score = result.score()
     values = {score.metric: score._asdict(), DIVERGED: count_diverged(result.metrics)}
     if WIDE in result.metrics:
         values[WIDE] = result.score(metric=WIDE)._asdict()
     own = parts(result)
-    return values, f"\n{result.folder.path}: ".join(labelled(own, [_score_text(part) for part in own]))
+    return values | part_scores(own), f"\n{result.folder.path}: ".join(
+        labelled(own, [_score_text(part) for part in own])
+    )
 
 
 def _score_text(curves: "Curves") -> str:
     """Return the score of `curves` in one line, with that from wide starts and the number of diverged seeds, if any."""
     from earl_jax.metrics.continuing import diverged_text
     from earl_jax.metrics.deployed import WIDE
-    from earl_jax.metrics.scores import Score
 
-    text = str(Score.of(curves.steps, curves.metrics, curves.deployed_metric))
+    text = str(curves.score())
     if WIDE in curves.metrics:
-        text += f"; {Score.of(curves.steps, curves.metrics, WIDE).mean:.3f} from wide starts"
+        text += f"; {curves.score(WIDE).mean:.3f} from wide starts"
     return text + diverged_text(curves.diverged, curves.seeds)

@@ -12,7 +12,7 @@ import numpy as np
 from earl_jax.envs import PAPER_TASKS, env_class, make
 from earl_jax.errors import InputError, printable
 from earl_jax.metrics.continuing import count_diverged
-from earl_jax.metrics.scores import DEFAULT, Window
+from earl_jax.metrics.scores import DEFAULT, Score, Window
 from earl_jax.options.values import value_text
 from earl_jax.protocol import SETTINGS, Deployment
 from earl_jax.report.style import grouped, method_order, task_order
@@ -63,6 +63,10 @@ class Curves(NamedTuple):
     def seeds(self) -> int:
         """N, the number of seeds."""
         return len(self.metrics[self.deployed_metric])
+
+    def score(self, metric: str | None = None) -> Score:
+        """Return the score of the seeds over the evaluations of `window`, by default of the deployed metric."""
+        return Score.of(self.steps, self.metrics, metric or self.deployed_metric, self.window)
 
     @property
     def run_seeds(self) -> list[int]:
@@ -226,9 +230,14 @@ def by_method(runs: Sequence[Curves]) -> list[Curves]:
     return sorted(named, key=lambda curves: (envs.index(curves.env), algos.index(curves.algo)))
 
 
-def parts(result: Any) -> list[Curves]:
+def parts(result: Any, window: Window = DEFAULT) -> list[Curves]:
     """Return the labelled curves of a `Result` with a folder, apart for each set of hyper-parameters of its seeds."""
-    return by_method(by_values(Curves(result.config, result.steps, result.metrics, (result.folder,))))
+    return by_method(by_values(Curves(result.config, result.steps, result.metrics, (result.folder,), window)))
+
+
+def part_scores(parts: Sequence[Curves]) -> dict[str, Any]:
+    """Return the score of each of several `parts` of a run by its label, as JSON values; {} of a single one."""
+    return {"part_scores": {part.label: part.score()._asdict() for part in parts}} if len(parts) > 1 else {}
 
 
 def labelled(parts: Sequence[Curves], texts: list[str]) -> list[str]:

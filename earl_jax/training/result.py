@@ -74,7 +74,7 @@ class Result:
     def score(self, window: Window = DEFAULT, metric: str | None = None) -> Score:
         """Return the score of the run: the mean over seeds of their evaluations in `window`, by default of the last tenth.
 
-        `metric` is by default the deployed one.
+        `metric` is by default the deployed one. Seeds with hyper-parameters of their own count alike.
 
         Raises:
             ValueError: there is no evaluation yet, no such metric, or `window` is no `Window`.

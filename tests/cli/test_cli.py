@@ -61,7 +61,8 @@ def test_new_episodes_are_scored_beside_the_run(finished):
 
 def test_seeds_with_values_of_their_own_have_a_score_each(tmp_path):
     lines = succeed(*training(tmp_path / "run", "--set", "learning_rate=[1e-3,3e-4]")).splitlines()
-    starts = [f"{tmp_path / 'run'}: fbrl (learning_rate={value}): deployed/success " for value in ("0.001", "3e-4")]
+    labels = [f"fbrl (learning_rate={value})" for value in ("0.001", "3e-4")]
+    starts = [f"{tmp_path / 'run'}: {label}: deployed/success " for label in labels]
     assert [line[: len(start)] for line, start in zip(lines, starts, strict=True)] == starts
     assert all("mean of 1 seed over" in line for line in lines)
     shown = succeed("show", tmp_path / "run")
@@ -69,6 +70,9 @@ def test_seeds_with_values_of_their_own_have_a_score_each(tmp_path):
     assert f"score:     {scores}\n" in shown
     columns = r"a column for each of fbrl \(learning_rate=0.001\); fbrl \(learning_rate=3e-4\)\n  \S+ +\S+  \S+\n"
     assert re.search(columns, shown)
+    scored = json.loads(succeed("show", tmp_path / "run", "--json"))
+    own = [score["scores"][0] for score in scored["part_scores"].values()]
+    assert (list(scored["part_scores"]), own) == (labels, scored["score"]["scores"])
     evaluated = succeed("evaluate", tmp_path / "run", "--episodes", "2")
     means = re.findall(r"^fbrl \(.*\): deployed/success \d\.\d{3}, per seed \d\.\d{3}$", evaluated, re.MULTILINE)
     assert len(means) == 2
