@@ -190,8 +190,6 @@ def check_method(method: Method) -> None:
     require_object("learner", learner, Learner, or_name=False)
     for options in (method, learner):
         check_intervals(method.name, options)
-    if learner.cloning is None and learner.cloning_final is not None:
-        raise InputError(f"{method.name}: cloning_final has no effect without cloning; give both or neither")
 
 
 def controller_count(method: Method) -> int:

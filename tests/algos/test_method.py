@@ -51,12 +51,6 @@ def test_the_numbers_of_a_phase_are_checked(number):
         Phase(**number)
 
 
-def test_a_schedule_of_cloning_without_cloning_is_refused():
-    check_method(make_algo("naive", cloning=0, cloning_final=0.5))
-    with pytest.raises(InputError, match="naive: cloning_final has no effect without cloning"):
-        check_method(make_algo("naive", cloning_final=0.5))
-
-
 @pytest.mark.parametrize("phases", [(), Phase(), (FORWARD,), lambda self: (Phase(),)])
 def test_phases_that_are_none_are_refused(phases):
     method = type("Empty", (Method,), {"name": "empty", "phases": phases})()

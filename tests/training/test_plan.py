@@ -68,6 +68,8 @@ def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_the
          "pretrain_log_std without effect: pretrain_steps is 0"),
         ("tabletop_organization", "naive", {"cloning": 1.0, "cloning_steps": 9}, {"cloning": 1.0, "cloning_final": 0.0},
          "cloning_steps without effect: cloning_final is None"),
+        ("tabletop_organization", "naive", {"cloning_final": 0.5}, {"cloning": 0.0, "cloning_final": 0.5},
+         "cloning_final without effect: cloning is None"),
         ("tabletop_organization", "naive", {"fixed_temperature": True, "entropy_per_action": [-0.5, -1]},
          {"fixed_temperature": True}, "entropy_per_action without effect: fixed_temperature is True"),
         ("tabletop_organization", "naive", {"learner": "td3", "target_noise": 0.0, "noise_clip": 0.1},

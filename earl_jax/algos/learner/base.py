@@ -78,7 +78,7 @@ class Learner(OptionsNode, abc.ABC):
     cloning: float | None = struct.field(default=None, metadata=within("[0, 1000000]"))
     """Weight, relative to `reward_scale`, of a cloning term in the actor's loss: the mean squared distance of the greedy
     action to demonstrated actions of the batch. None: no such term, as in EARL."""
-    cloning_final: float | None = struct.field(default=None, metadata=within("[0, 1000000]"))
+    cloning_final: float | None = struct.field(default=None, metadata=within("[0, 1000000]", cloning=None))
     """That weight at the end of its linear schedule; None: it stays."""
     cloning_start: int = struct.field(pytree_node=False, default=0, metadata=within(COUNT_OR_NEVER, cloning_final=None))
     """Step of the lifetime at which the schedule begins."""
