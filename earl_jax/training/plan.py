@@ -90,7 +90,9 @@ def _surprises(problem: Problem, method: Method, steps: int, chunk: int) -> Iter
             f"{method.name} refreshes every {math.gcd(chunk, refresh):,} steps, not every {refresh:,}: refresh_every does not "
             f"divide the {chunk:,} steps of a chunk, which divide random_steps {random:,} and eval_every {every:,}"
         )
-    unused = [name for name in ("demo_share", "cloning") if _is_positive(getattr(learner, name))]
+    unused = [
+        name for name in ("demo_share", "all_demos", "keep_demos", "cloning") if _is_positive(getattr(learner, name))
+    ]
     if unused and not len(demo_rows(problem, method).rows):
         names, where = " and ".join(unused), f"{method.name} has no demonstrations on {problem.env.name}"
         yield f"{names} without effect: {where}"

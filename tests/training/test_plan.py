@@ -63,6 +63,7 @@ def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_the
          r"vaprl refreshes every 5 steps, not every 25: .* the 20 steps of a chunk"),
         ("fish_swim", "naive", {"demo_share": 0.5, "cloning": 1.0}, {"demo_share": 0, "cloning": 0},
          "demo_share and cloning without effect: naive has no demonstrations on fish_swim"),
+        ("fish_swim", "naive", {"all_demos": True, "keep_demos": True}, {}, "all_demos and keep_demos without effect"),
         ("fish_swim", "naive", {"demo_share": [0.0, 0.5]}, {"demo_share": [0.0, 0.0]}, "demo_share without effect"),
         ("tabletop_organization", "naive", {"pretrain_log_std": [-2.0, -1.0]}, {"pretrain_log_std": -2.0, "pretrain_steps": 1},
          "pretrain_log_std without effect: pretrain_steps is 0"),
