@@ -117,7 +117,7 @@ class Env(abc.ABC):
 
     @abc.abstractmethod
     def reset(self, key: jax.Array) -> State:
-        """Return a state with s0 ~ rho and a task goal drawn uniformly."""
+        """Return a state with s0 ~ rho, whose observation is finite, and a task goal drawn uniformly."""
 
     @abc.abstractmethod
     def success(self, obs: jax.Array) -> jax.Array:

@@ -4,15 +4,17 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.replay import Replay, TransitionFlags
 from earl_jax.algos.method import TASK, Method, controller_count, kept_transitions
 from earl_jax.envs.checks import require_result
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, brief
 from earl_jax.metrics.continuing import init_counters
 from earl_jax.protocol import Rules
+from earl_jax.runs.hosts import gathered
 from earl_jax.training.demos import demo_rows, demo_steps
 from earl_jax.training.ordering import unfolded
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
@@ -71,6 +73,18 @@ def _init_agents(problem: Problem, method: Method, key: jax.Array) -> Any:
 
     agents = jax.vmap(init_agent)(jax.random.split(key, controller_count(method)))
     return method.pretrain(jax.random.fold_in(key, 1), env, agents, demo_steps(problem, method))
+
+
+def check_lanes(problem: Problem, method: Method, state: TrainState) -> None:
+    """Raise an InputError if a lane of `state` has no valid goals of `next_goal`, or starts from values that are not finite."""
+    lanes, goals, env = state.lanes, problem.goals, problem.env
+    for name, indices in gathered(lanes.goal_indices)._asdict().items():
+        count = goals.tasks if name == "task" else len(goals.table)
+        if ((indices < 0) | (indices >= count)).any():
+            given = f"next_goal returned the indices {brief(indices)} as the {name} of its lanes"
+            raise InputError(f"{method.name}: {given}; on this task they are 0 to {count - 1}")
+    if not gathered(state.step) and not np.isfinite(obs := gathered(lanes.env_state.obs)).all():
+        raise InputError(f"{env.name}: reset must return finite observations, not {brief(obs)}")
 
 
 def empty_replay(problem: Problem, method: Method, lanes: int, steps: int) -> Replay:

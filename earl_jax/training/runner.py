@@ -15,7 +15,6 @@ from jax.sharding import Mesh
 from earl_jax.algos import Method
 from earl_jax.algos.method import TASK
 from earl_jax.envs import Env, chosen_engine, for_lanes, without_budget
-from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.values import TimeLimit, counted
 from earl_jax.protocol import Protocol, Rules, Setting
@@ -29,7 +28,7 @@ from earl_jax.runs.progress import Progress
 from earl_jax.runs.table import Table
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
-from earl_jax.training.init import init_train_state
+from earl_jax.training.init import check_lanes, init_train_state
 from earl_jax.training.plan import Plan, join_lanes, per_lane, prepare
 from earl_jax.training.program_cache import keep_programs
 from earl_jax.training.scan import run_steps
@@ -171,7 +170,7 @@ def _train_to_end(
 ) -> TrainState:
     """Return the final state, or the one at a time limit, trained from `step`. Errors as `run_program`."""
     start = step
-    _require_goals(plan, method, state)
+    check_lanes(plan.problem, method, state)
     if step == plan.steps:
         _record_length(plan, runs)
     while step < plan.steps:
@@ -219,16 +218,6 @@ def _train_to_evaluation(
     return state
 
 
-def _require_goals(plan: Plan, method: Method, state: TrainState) -> None:
-    """Raise an InputError if `next_goal` gave a lane of `state` no index into the goal table, or no task goal as its task."""
-    goals = plan.problem.goals
-    for name, indices in gathered(state.lanes.goal_indices)._asdict().items():
-        count = goals.tasks if name == "task" else len(goals.table)
-        if ((indices < 0) | (indices >= count)).any():
-            given = f"next_goal returned the indices {brief(indices)} as the {name} of its lanes"
-            raise InputError(f"{method.name}: {given}; on this task they are 0 to {count - 1}")
-
-
 def _evaluate_runs(
     plan: Plan, method: Method, runs: Sequence[Run], state: TrainState, step: int, bar: Progress
 ) -> TrainState:
@@ -236,7 +225,7 @@ def _evaluate_runs(
     with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
         state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
         metrics = {name: as_decimals(values) for name, values in gathered(metrics).items()}
-    _require_goals(plan, method, state)
+    check_lanes(plan.problem, method, state)
     save_policies_of(runs, state, step)
     for run, span in _with_lanes(runs):
         run.add(step, {name: values[span] for name, values in metrics.items()})

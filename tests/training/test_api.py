@@ -136,6 +136,18 @@ def test_a_goal_outside_the_goal_table_or_a_task_that_is_no_task_goal_ends_train
         train(Chain(), Stray(episode_length=5), seeds=1, steps=20, eval_every=20, eval_episodes=1)
 
 
+def test_a_reset_to_values_that_are_not_finite_is_refused():
+    class Lost(Chain):
+        name = "lost"
+
+        def reset(self, key):
+            state = super().reset(key)
+            return state.replace(obs=state.obs * jnp.nan)
+
+    with pytest.raises(InputError, match="lost: reset must return finite observations"):
+        train(Lost(), "naive", seeds=1, steps=20, eval_every=20, eval_episodes=1)
+
+
 def test_the_method_of_a_result_trains_again_under_the_options_that_it_had(tmp_path):
     first = tiny_train("naive", learning_rate=1e-3, out=tmp_path / "run")
     again = train(first.env, first.method, seeds=2, steps=120, eval_every=40, eval_episodes=2)
