@@ -68,9 +68,9 @@ def dot(x: Any) -> str | None:
 
 
 def reach(estimate: Estimate) -> np.ndarray:
-    """Return the distances [2, K] from the values of `estimate` to the ends of its interval, 0 without an interval."""
+    """Return the distances [2, K] from the values of `estimate` to the ends of its interval, nan without an interval."""
     value, low, high = (np.atleast_1d(np.asarray(part, float)) for part in estimate)
-    return np.maximum(np.nan_to_num([value - low, high - value]), 0)
+    return np.maximum([value - low, high - value], 0)
 
 
 def legend_below(figure: Any, entries: Mapping[str, Any], columns: int, **options: Any) -> None:

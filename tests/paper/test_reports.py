@@ -273,3 +273,11 @@ def test_drops_of_figure_4_are_compared_with_the_published_ones(tmp_path):
 def test_a_drop_within_the_interval_agrees_and_one_seed_has_no_verdict(success, verdict):
     [row] = figure4.report_of(seed_rows("oracle", *success)).tables[""]
     assert (row["verdict"], row["drop"]) == (verdict, pytest.approx(0.4))
+
+
+@pytest.mark.parametrize(("successes", "caps"), [([0.9, 0.8, 0.6], True), ([0.9, 0.8], False), ([0.9], False)])
+def test_figure_4_draws_no_interval_of_fewer_than_three_seeds(successes, caps):
+    """A bar of two seeds used to have the caps of an interval without width."""
+    axis = figure4.report_of(seed_rows("fbrl", successes, successes)).figure.axes[0]
+    assert axis.lines
+    assert all(math.isfinite(value) == caps for line in axis.lines for value in line.get_ydata())
