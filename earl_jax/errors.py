@@ -9,6 +9,7 @@ import shlex
 import sysconfig
 import traceback
 from collections.abc import Collection, Iterable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -48,17 +49,17 @@ def optional(module: str, need: str, extra: str) -> Any:
 
 def choices(name: Any, names: Iterable[str]) -> str:
     """Return `names` for the message about an unknown `name`, after the one that it resembles most, if any does."""
-    from difflib import get_close_matches
-
     text, names = str(name).lower(), list(names)
     near = [known for known in names if len(text) > 2 and text in known] or get_close_matches(text, names, 1)
     return f"did you mean {near[0]!r}? Choose from {', '.join(names)}" if near else f"choose from {', '.join(names)}"
 
 
-def check_spelling(cls: type) -> None:
-    """Raise an InputError if `cls` adds a public member, no option, that is nearly called as one that it could override."""
-    from difflib import get_close_matches
+def check_overrides(cls: type) -> None:
+    """Raise an InputError if a member of `cls` is meant to override another and does not, or not as its callers expect.
 
+    That is a public member, no option, that is nearly called as one that it could override, or a method that overrides one
+    of this package and takes other arguments, or another order.
+    """
     bases, own = [vars(base) for base in cls.__mro__[1:]], vars(cls)
     inherited = {name for base in bases for name in (*base, *base.get("__annotations__", {}))}
     options = {name for name, kind in own.get("__annotations__", {}).items() if "ClassVar" not in str(kind)}
@@ -67,10 +68,6 @@ def check_spelling(cls: type) -> None:
         if not name.startswith("_") and (near := get_close_matches(name, known, 1, SIMILAR)):
             remedy = f"did you mean {near[0]!r}? If not, choose a name that is less like it"
             raise InputError(f"{cls.__name__}.{name} overrides nothing; {remedy}")
-
-
-def check_parameters(cls: type) -> None:
-    """Raise an InputError if a method of `cls` overrides one of this package and takes other arguments, or another order."""
     for name, own in vars(cls).items():
         known = [vars(base).get(name) for base in cls.__mro__[1:] if base.__module__.startswith(f"{PACKAGE.name}.")]
         overridden: list[Any] = [value for value in known if _is_method(value)]
@@ -113,13 +110,9 @@ def is_input_error(error: BaseException) -> bool:
     An OSError that passes through code from outside this package and the installed ones comes from the code of a task
     or a method, and is not one.
     """
-    return isinstance(error, InputError) or (isinstance(error, OSError) and not _passes_foreign_code(error))
-
-
-def _passes_foreign_code(error: BaseException) -> bool:
+    if not isinstance(error, OSError):
+        return isinstance(error, InputError)
     paths = [Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)]
     below_package = itertools.dropwhile(lambda path: not path.is_relative_to(PACKAGE), paths)
-    known = [PACKAGE, *LIBRARIES]
-    return any(
-        path.is_file() and not any(path.resolve().is_relative_to(root) for root in known) for path in below_package
-    )
+    files = [path.resolve() for path in below_package if path.is_file()]
+    return all(any(file.is_relative_to(root) for root in (PACKAGE, *LIBRARIES)) for file in files)

@@ -6,7 +6,7 @@ from typing import Any, Self, dataclass_transform
 import jax
 from flax import struct
 
-from earl_jax.errors import check_parameters, check_spelling
+from earl_jax.errors import check_overrides
 
 
 @dataclass_transform(field_specifiers=(struct.field,), frozen_default=True)
@@ -21,8 +21,7 @@ class OptionsNode:
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__()
-        check_spelling(cls)
-        check_parameters(cls)
+        check_overrides(cls)
         dataclasses.dataclass(frozen=True, **options)(cls)
 
         def names() -> tuple[list[str], list[str]]:

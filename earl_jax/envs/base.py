@@ -13,7 +13,7 @@ from jax.core import Tracer
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State, all_finite, random_row
-from earl_jax.errors import InputError, check_parameters, check_spelling
+from earl_jax.errors import InputError, check_overrides
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, check_literals, require
 from earl_jax.physics import PendingStep
@@ -49,8 +49,7 @@ class Env(abc.ABC):
     def __init_subclass__(cls, **options: Any):
         """Give `reset` of every task the package's types, as `step` has them, and protect the arrays of its class."""
         super().__init_subclass__(**options)
-        check_spelling(cls)
-        check_parameters(cls)
+        check_overrides(cls)
         if "reset" in vars(cls):
             cls.reset = package_types()(cls.reset)
         for constant in vars(cls).values():
