@@ -169,19 +169,24 @@ def has_demos(name: str) -> bool:
 
 
 @functools.cache
+def _shipped(path: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of an npz file that ships, read-only, by name."""
+    import numpy as np  # `earl-jax list` starts faster without it
+
+    with np.load(path, allow_pickle=False) as stored:
+        arrays = dict(stored)
+    for array in arrays.values():
+        array.setflags(write=False)
+    return arrays
+
+
 def starts(name: str) -> dict[str, np.ndarray]:
     """Return the file of starts of task `name`, states at rest or settled, as read-only float32 arrays [N, ...] by name.
 
     Raises:
         ValueError: the task has no such file; the message lists the choices.
     """
-    import numpy as np  # `earl-jax list` starts faster without it
-
-    with np.load(_file("starts", name, ".npz"), allow_pickle=False) as stored:
-        arrays = dict(stored)
-    for array in arrays.values():
-        array.setflags(write=False)
-    return arrays
+    return _shipped(_file("starts", name, ".npz"))
 
 
 def list_pretrained() -> dict[str, list[str]]:
@@ -191,14 +196,9 @@ def list_pretrained() -> dict[str, list[str]]:
     return {task: [path.stem for path in files if path.parent.name == task] for task in tasks}
 
 
-@functools.cache
 def pretrained(task: str, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return `pretrained_info`, and the parameters of the policies, float16 [N, ...] by name. Errors as `pretrained_info`."""
-    import numpy as np
-
-    info = pretrained_info(task, method)
-    with np.load(root() / "pretrained" / task / f"{method}.npz", allow_pickle=False) as stored:
-        return info, dict(stored)
+    return pretrained_info(task, method), _shipped(root() / "pretrained" / task / f"{method}.npz")
 
 
 def pretrained_info(task: str, method: str) -> dict[str, Any]:
@@ -225,21 +225,15 @@ def published(table: str) -> list[dict[str, str]]:
     Raises:
         ValueError: there is no such table; the message lists the choices.
     """
-    return [dict(row) for row in _read_published(table)]
-
-
-@functools.cache
-def _read_published(table: str) -> list[dict[str, str]]:
     with _file("published", table, ".csv").open(newline="") as handle:
         return list(csv.DictReader(handle))
 
 
 def published_row(table: str, **where: str) -> dict[str, str]:
     """Return the first row of a published table with the values `where` by column, or {} without such a row."""
-    return next((dict(row) for row in _read_published(table) if where.items() <= row.items()), {})
+    return next((row for row in published(table) if where.items() <= row.items()), {})
 
 
-@functools.cache
 def released_runs(task: str, method: str) -> dict[str, np.ndarray]:
     """Return the released evaluations of the paper's five seeds: `steps [E]`, and float32 [5, E] of `deployed` and `continuing`.
 
@@ -249,11 +243,5 @@ def released_runs(task: str, method: str) -> dict[str, np.ndarray]:
     presumably 10,000 random ones and 10,000 of training. The oracle's is taken to be so too. R3L's is after one interval.
     Arrays are read-only.
     """
-    import numpy as np
-
-    with np.load(root() / "published" / "curves.npz", allow_pickle=False) as stored:
-        own = [name for name in stored.files if name.startswith(f"{task}/{method}/")]
-        arrays = {name.rpartition("/")[2]: stored[name] for name in own}
-    for array in arrays.values():
-        array.setflags(write=False)
-    return arrays
+    own, curves = f"{task}/{method}/", _shipped(root() / "published" / "curves.npz")
+    return {name.removeprefix(own): array for name, array in curves.items() if name.startswith(own)}
