@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from earl_jax.physics import load_model
 
@@ -43,7 +44,8 @@ def dragging_position(state: jax.Array) -> jax.Array:
     """Return the position [3], in metres, of the mocap body whose weld holds the flange where `state [23]` has it."""
     model = load_model(MODEL)
     flange = _point_position(state[FIRST], model.site("tip").bodyid[0], np.zeros(3))
-    without_force = _rotation_matrix(model.body("mocap").quat) @ model.equality("drag").data[3:6]
+    held = Rotation.from_quat(model.body("mocap").quat, scalar_first=True)
+    without_force = held.apply(model.equality("drag").data[3:6])
     return flange - jnp.asarray(without_force, jnp.float32)
 
 
@@ -92,8 +94,8 @@ def _point_position(qpos: jax.Array, body: int, end: np.ndarray) -> jax.Array:
                 point = tuple(x + value * along for x, along in zip(point, axis, strict=True))
             else:
                 point = jax.lax.optimization_barrier(_rotated(point, axis, value))
-        rotation, pos = _rotation_matrix(model.body_quat[body]), model.body_pos[body]
-        point = tuple(_dot(row, point) + x for row, x in zip(rotation.tolist(), pos.tolist(), strict=True))
+        rotation = Rotation.from_quat(model.body_quat[body], scalar_first=True).as_matrix().tolist()
+        point = tuple(_dot(row, point) + x for row, x in zip(rotation, model.body_pos[body].tolist(), strict=True))
         body = model.body_parentid[body]
     return jnp.stack([jnp.asarray(x, jnp.float32) for x in point])
 
@@ -113,10 +115,3 @@ def _rotated(point: Sequence[Any], axis: Sequence[float], angle: jax.Array) -> t
         part + cosine * (coordinate - part) + sine * turned
         for coordinate, part, turned in zip(point, along, cross, strict=True)
     )
-
-
-def _rotation_matrix(quat: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix [3, 3] of a unit quaternion (w, x, y, z)."""
-    w, v = quat[0], quat[1:]
-    cross = np.cross(np.eye(3), v)
-    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross
