@@ -38,19 +38,11 @@ def with_overlay(name: str) -> Any:
 
 def _with_includes(path: Path) -> ET.Element:
     """Return the XML of `path` with its includes, which are relative to it, replaced by their contents."""
-
-    def expand(element: ET.Element) -> list[ET.Element]:
-        children = []
-        for child in element:
-            if child.tag == "include":
-                children += expand(ET.parse(path.parent / child.attrib["file"]).getroot())
-            else:
-                child[:] = expand(child)
-                children.append(child)
-        return children
-
     root = ET.parse(path).getroot()
-    root[:] = expand(root)
+    for parent in root.iter():
+        while (include := parent.find("include")) is not None:
+            index = list(parent).index(include)
+            parent[index : index + 1] = list(ET.parse(path.parent / include.attrib["file"]).getroot())
     return root
 
 

@@ -1,5 +1,6 @@
 """Draws a state as an image: MuJoCo renders the task's model with its overlay, without a display."""
 
+import contextlib
 import functools
 import importlib
 import os
@@ -31,7 +32,7 @@ NO_BACKEND = (ImportError, RuntimeError, AttributeError)
 """The errors of mujoco, and of OpenGL's library, for a backend that `MUJOCO_GL` names and this machine lacks."""
 
 
-class Scene:
+class Scene(contextlib.AbstractContextManager):
     """A camera on one task: `image(state)` draws a state. Close it, or use it in a `with` block."""
 
     def __init__(self, env: Env, size: tuple[int, int] = (480, 640), camera: str | None = None, goal: bool = True):
@@ -83,9 +84,6 @@ class Scene:
     def close(self) -> None:
         """Release the resources of the graphics driver; the scene cannot draw afterwards."""
         self._renderer.close()
-
-    def __enter__(self) -> "Scene":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
