@@ -7,11 +7,11 @@ on the scan's carry prevents the fusion and changes no value.
 
 import functools
 import importlib
-from importlib import metadata
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import jaxlib.version
 import numpy as np
 from jax import default_backend
 
@@ -36,11 +36,7 @@ def guard_kinematics() -> None:
 
 def needs_guard() -> bool:
     """Return whether programs run on a CPU under a release of jaxlib with the slow fusion."""
-    return default_backend() == "cpu" and _jaxlib_version() < FIXED_JAXLIB
-
-
-def _jaxlib_version() -> tuple[int, ...]:
-    return tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2])
+    return default_backend() == "cpu" and jaxlib.version.__version_info__ < FIXED_JAXLIB
 
 
 @functools.cache

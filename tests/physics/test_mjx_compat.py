@@ -26,7 +26,7 @@ def test_a_step_on_mjx_has_the_barrier_on_the_carry_of_body_tree_once():
 
 @pytest.mark.parametrize(("version", "backend"), [(mjx_compat.FIXED_JAXLIB, "cpu"), ((0, 10), "gpu")])
 def test_a_jaxlib_without_the_slow_fusion_and_an_accelerator_are_left_alone(monkeypatch, version, backend):
-    monkeypatch.setattr(mjx_compat, "_jaxlib_version", lambda: version)
+    monkeypatch.setattr(mjx_compat.jaxlib.version, "__version_info__", version)
     monkeypatch.setattr(mjx_compat, "default_backend", lambda: backend)
     assert not mjx_compat.needs_guard()
 
