@@ -86,17 +86,15 @@ def record(env: Env, state: State, rng: np.random.Generator, steps: int | None =
     raise RuntimeError(f"the demonstration script of {env.name} missed {np.asarray(state.info['goal'])}")
 
 
+_step = jax.jit(lambda env, state, action: env.step(state, action), static_argnums=0)
+
+
 @functools.partial(jax.jit, static_argnums=0)
 def _expert_action(env: Env, obs: jax.Array) -> jax.Array:
     expert = env.demonstrations.expert
     if expert is None:
         raise InputError(f"the demonstration script of {env.name} needs an action or an expert")
     return expert(obs)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _step(env: Env, state: State, action: jax.Array) -> State:
-    return env.step(state, action)
 
 
 def stacked(rows: list[tuple]) -> Demos:

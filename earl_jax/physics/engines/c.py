@@ -152,18 +152,15 @@ class Host:
             return self.simulations(len(rows)).advance(rows)
 
     def _simulations(self, count: int) -> Simulations:
-        return Simulations(self.simulator, self.model, self.memory, count, _threads_for(count, self.threads))
+        """Return simulations for `count` rows.
 
-
-def _threads_for(rows: int, threads: int) -> int:
-    """Return how many of `threads` work on `rows`, of which the calling thread is one.
-
-    Half of them work on up to one row per thread, three quarters on up to four, and all of them on more, because waking a
-    thread takes longer than the work on a few rows (benchmarks/PROFILE.md).
-    """
-    load = rows / threads
-    share = threads // 2 if load <= 1 else threads * 3 // 4 if load <= 4 else threads
-    return max(1, min(rows, share))
+        Half of the threads work on up to one row per thread, three quarters on up to four, and all of them on more, because
+        waking a thread takes longer than the work on a few rows (benchmarks/PROFILE.md).
+        """
+        threads = self.threads
+        load = count / threads
+        share = threads // 2 if load <= 1 else threads * 3 // 4 if load <= 4 else threads
+        return Simulations(self.simulator, self.model, self.memory, count, max(1, min(count, share)))
 
 
 host_of = functools.cache(Host)

@@ -1,6 +1,5 @@
 """The same work on the host through `jax.pure_callback`, for a process in which XLA refuses the foreign function."""
 
-import warnings
 from collections.abc import Callable
 
 import jax
@@ -10,17 +9,6 @@ import numpy as np
 INLINE_BYTES = 100_000
 """The largest operand of a callback. A thread of XLA's pool copies operands above 102,400 bytes, and if a program on each
 CPU device waits for its copy, no thread is left: two devices with 260 lanes each of 101 numbers stopped so."""
-
-
-def warn(cause: Exception) -> None:
-    """Warn that the work runs through a callback because of `cause`, and say what that costs."""
-    warnings.warn(
-        f"XLA refuses the foreign function that calls the host ({type(cause).__name__}: {cause}), so "
-        "jax.pure_callback calls it, with the same results: each call takes three times as long, a GPU waits for its "
-        "answer, and every process compiles its programs anew",
-        RuntimeWarning,
-        stacklevel=2,
-    )
 
 
 def step(serve: Callable[[np.ndarray], np.ndarray], row: jax.Array, width: int) -> jax.Array:

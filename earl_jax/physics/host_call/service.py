@@ -8,6 +8,7 @@ the stream, so the operations of a program between `start` and `finish` run conc
 
 import functools
 import itertools
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -65,7 +66,7 @@ class Service:
 
 @functools.cache
 def is_foreign() -> bool:
-    """Return whether XLA takes foreign functions in this process; if it does not, warn of the cause."""
+    """Return whether XLA takes foreign functions in this process; if it does not, warn of the cause and the costs."""
     try:
         if default_backend() != "cpu":
             jax.devices("cuda")  # an error on other accelerators, for which there is no target
@@ -73,7 +74,13 @@ def is_foreign() -> bool:
         for platform in ("cpu", "CUDA"):
             _register_target("earl_jax.probe", platform, lambda frame: None)
     except Exception as error:
-        callback.warn(error)
+        warnings.warn(
+            f"XLA refuses the foreign function that calls the host ({type(error).__name__}: {error}), so "
+            "jax.pure_callback calls it, with the same results: each call takes three times as long, a GPU waits for "
+            "its answer, and every process compiles its programs anew",
+            RuntimeWarning,
+            stacklevel=2,
+        )
         return False
     return True
 

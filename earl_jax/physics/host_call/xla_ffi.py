@@ -120,16 +120,13 @@ def handler(work: Callable[[Frame], None]) -> Any:
         try:
             work(frame)
         except Exception as error:
-            return _failure(frame.api.contents, f"{type(error).__name__}: {error}")
+            message = f"{type(error).__name__}: {error}".encode()
+            request = _ErrorCreate(ctypes.sizeof(_ErrorCreate), None, message, INTERNAL)
+            create = ctypes.CFUNCTYPE(c_void_p, POINTER(_ErrorCreate))(frame.api.contents.error_create)
+            return create(ctypes.byref(request))
         return None
 
     return _HANDLER(handle)
-
-
-def _failure(api: _Api, message: str) -> int:
-    create = ctypes.CFUNCTYPE(c_void_p, POINTER(_ErrorCreate))(api.error_create)
-    request = _ErrorCreate(ctypes.sizeof(_ErrorCreate), None, message.encode(), INTERNAL)
-    return create(ctypes.byref(request))
 
 
 def view(address: int, count: int, kind: Any) -> np.ndarray:
