@@ -10,6 +10,7 @@ import functools
 import itertools
 import warnings
 from collections.abc import Callable
+from ctypes import c_int32
 from typing import Any
 
 import jax
@@ -47,12 +48,12 @@ class Service:
         rows, tickets = frame.transfer
         number = next(self.numbers) & 0x7FFFFFFF
         self.answers[number] = self.serve(rows_of(rows))
-        tickets.integers[:] = number
+        tickets.elements(c_int32)[:] = number
 
     def finish(self, frame: Frame) -> None:
         """Write the answer that is stored for the tickets, on a CPU."""
         tickets, answer = frame.transfer
-        rows_of(answer)[:] = self.answers.pop(int(tickets.integers[0]))
+        rows_of(answer)[:] = self.answers.pop(int(tickets.elements(c_int32)[0]))
 
     def stream_of(self, frame: Frame) -> Stream:
         """Return the stream of a call on a GPU, in which the work and the wait for its answer are queued."""

@@ -53,14 +53,13 @@ class Buffer(Structure):
         return math.prod(self.shape)
 
     @property
-    def integers(self) -> np.ndarray:
-        """Its elements as int32, for a buffer on the host."""
-        return view(self.data or 0, self.count, ctypes.c_int32)
-
-    @property
     def shape(self) -> tuple[int, ...]:
         """Lengths of its axes."""
         return tuple(self.dims[: self.rank])
+
+    def elements(self, kind: Any) -> np.ndarray:
+        """Return its elements, numbers of the ctypes type `kind`, for a buffer on the host."""
+        return np.ctypeslib.as_array((kind * self.count).from_address(self.data or 0))
 
 
 class _Buffers(Structure):
@@ -129,11 +128,6 @@ def handler(work: Callable[[Frame], None]) -> Any:
     return _HANDLER(handle)
 
 
-def view(address: int, count: int, kind: Any) -> np.ndarray:
-    """Return `count` numbers of the ctypes type `kind` at `address`."""
-    return np.ctypeslib.as_array((kind * count).from_address(address))
-
-
 def rows_of(buffer: Buffer) -> np.ndarray:
     """Return the float32 `buffer` as rows [n, k]."""
-    return view(buffer.data or 0, buffer.count, ctypes.c_float).reshape(-1, buffer.shape[-1])
+    return buffer.elements(ctypes.c_float).reshape(-1, buffer.shape[-1])
