@@ -19,7 +19,7 @@ from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, published_fault
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach, task_title
 from earl_jax.report.tables import error_text, markdown_table, millions
-from earl_jax.runs.config import deployed_metric
+from earl_jax.runs.config import DEPLOYED
 
 CHOSEN_RULE = (
     "Ours and published are means over the same steps and the same window. Chosen: settings that were chosen with a look at runs "
@@ -110,7 +110,7 @@ def _draw(number: int, rows: Sequence[Row], metrics: Mapping[tuple[str, str], st
     """
     panels: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        metric = metrics.get((row["env"], row["label"])) or deployed_metric(make(row["env"]))
+        metric = metrics.get((row["env"], row["label"])) or DEPLOYED[make(row["env"]).reward_type]
         panels.setdefault((row["env"], metric), []).append(row)
     tasks = [of_task for of_task in panels.values() if any(row["seeds"] for row in of_task)]
     columns = 2 if len(tasks) == 4 else min(3, len(tasks))

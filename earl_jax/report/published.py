@@ -18,7 +18,7 @@ from earl_jax.metrics.comparison import Sample, rate_interval
 from earl_jax.metrics.scores import DEFAULT, as_decimals
 from earl_jax.options.schedule import Schedule
 from earl_jax.report.runs import Curves
-from earl_jax.runs.config import RunConfig, reward_type
+from earl_jax.runs.config import RunConfig
 
 SEEDS = 5
 """Number of seeds of each published score."""
@@ -137,7 +137,7 @@ def released_curves(env: str, algo: str) -> Curves | None:
     steps = runs["steps"]
     schedule = Schedule(steps=int(steps[-1]), eval_every=int(steps[1] - steps[0]), checkpoint_every=int(steps[-1]))
     lengths = dataclasses.asdict(schedule)
-    config = RunConfig(env, {}, algo, {}, tuple(range(SEEDS)), **lengths, reward_type=reward_type(make(env)))
+    config = RunConfig(env, {}, algo, {}, tuple(range(SEEDS)), **lengths, reward_type=make(env).reward_type)
     names = {"deployed": config.deployed_metric, "continuing": "continuing/reward"}
     return Curves(config, steps, {names[name]: as_decimals(runs[name]) for name in names if name in runs})
 

@@ -16,7 +16,7 @@ from earl_jax.metrics.scores import DEFAULT, Score, Window
 from earl_jax.options.values import value_text
 from earl_jax.protocol import SETTINGS, Deployment
 from earl_jax.report.style import grouped, method_order, task_order
-from earl_jax.runs.config import RunConfig, deployed_metric, method_options
+from earl_jax.runs.config import RunConfig, method_options
 from earl_jax.runs.contents import METRICS
 from earl_jax.runs.folder import RunFolder
 
@@ -99,7 +99,7 @@ class Curves(NamedTuple):
         config = self.config
         if config.env not in PAPER_TASKS or config.env_class or not config.env_options.keys() <= SAME_TASK:
             return False
-        same_reward = config.deployed_metric == deployed_metric(make(config.env))
+        same_reward = config.reward_type == make(config.env).reward_type
         return same_reward and config.build_setting() == Deployment()
 
 

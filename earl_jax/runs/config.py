@@ -110,7 +110,7 @@ class RunConfig:
             setting={"name": setting.name, **_changed_options(setting)},
             env_class=_unregistered_class(task, ENVS),
             algo_class=_unregistered_class(method, ALGOS),
-            reward_type=reward_type(task),
+            reward_type=task.reward_type,
             imports=records(),
         )
 
@@ -211,16 +211,6 @@ class RunConfig:
         """Return whether a run ends at `step`, or has passed a multiple of `checkpoint_every` since the last evaluation."""
         passed = step // self.checkpoint_every > (step - self.eval_every) // self.checkpoint_every
         return passed or step == self.steps
-
-
-def deployed_metric(env: Env) -> str:
-    """Return the name of the deployed metric of `env`: success for sparse rewards, return for dense ones."""
-    return DEPLOYED[reward_type(env)]
-
-
-def reward_type(env: Env) -> str:
-    """Return the kind of reward of `env`, `sparse` or `dense`."""
-    return "sparse" if env.sparse else "dense"
 
 
 def method_options(method: Method) -> dict[str, Any]:

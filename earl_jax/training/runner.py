@@ -19,7 +19,7 @@ from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.values import TimeLimit, counted
 from earl_jax.protocol import Protocol, Rules, Setting
 from earl_jax.runs.checkpoint import restore_together, save
-from earl_jax.runs.config import RunConfig, deployed_metric
+from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import first_host, gathered, require_same_on_hosts
 from earl_jax.runs.logging import Log, OptionalLog, open_logs
@@ -260,7 +260,7 @@ def _progress(plan: Plan, runs: Sequence[Run], show: bool) -> Progress:
     return Progress(
         label=f"{config.algo} x {plan.lanes} on {config.env}",
         steps=plan.steps,
-        metric=deployed_metric(plan.problem.env),
+        metric=config.deployed_metric,
         show=show and first_host(),
         compile_time="up to some minutes with mjx" if plan.engine == "mjx" else "about 10 s",
     )

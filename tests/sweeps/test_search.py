@@ -11,7 +11,6 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from earl_jax.runs.config import deployed_metric
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import search as module, worker
 from earl_jax.sweeps.search import search
@@ -51,7 +50,7 @@ def batches(monkeypatch):
         for name, config in configs.items():
             score = 1 - abs(config.options.get("discount", 0.99) - 0.95)
             score = np.nan if config.options.get("reward_scale") == 0.5 else score
-            metrics = {"deployed/return": np.zeros(2), deployed_metric(config.build_env()): np.full(2, score)}
+            metrics = {"deployed/return": np.zeros(2), config.deployed_metric: np.full(2, score)}
             exists = (out / name).exists()
             folder = RunFolder.open(out / name) if exists else RunFolder.create(out / name, config, "kinematic")
             for step in range(folder.table().step + 40, config.steps + 1, 40):
