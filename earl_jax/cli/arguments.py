@@ -6,7 +6,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,30 +30,25 @@ Seeds = Annotated[str | None, tyro.conf.arg(metavar="SEEDS")]
 
 
 @REGISTRY.primitive_rule
-def whole_number(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
-    """Return how an int is read: also as 1e6, 2.5e6 or 2_500_000."""
-    return _read_by(parse_whole, int, "INT") if kind.type is int else None
-
-
-@REGISTRY.primitive_rule
-def user_path(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
-    """Return how a path is read: with the folder of the user for `~`, which a shell leaves in `--out=~/runs`."""
-    return _read_by(_expanded, Path, "PATH") if kind.type is Path else None
-
-
-def _read_by(read: Callable[[str], Any], kind: type, metavar: str) -> PrimitiveConstructorSpec:
-    """Return how an argument becomes a value of a `kind`, by `read`."""
+def whole_number_or_path(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+    """Return how an int is read, also as 1e6, 2.5e6 or 2_500_000, and how a path is."""
+    readers = {int: (parse_whole, "INT"), Path: (_expanded, "PATH")}
+    if kind.type not in readers:
+        return None
+    read, metavar = readers[kind.type]
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
         instance_from_str=lambda texts: read(texts[0]),
-        is_instance=lambda value: isinstance(value, kind),
+        is_instance=lambda value: isinstance(value, kind.type),
         str_from_instance=lambda value: [str(value)],
     )
 
 
 def _expanded(text: str) -> Path:
-    """Return the path `text`, absolute where only its `./` told it from the user's folder, as in `./~`.
+    """Return the path `text`, with the folder of the user for `~`, which a shell leaves in `--out=~/runs`.
+
+    It is absolute where only its `./` told it from the user's folder, as in `./~`.
 
     Raises:
         ValueError: it is empty, as an unset variable of a shell is, and would be the current folder.
