@@ -63,12 +63,20 @@ class Registry:
         """Return the class of `name`.
 
         Raises:
-            ValueError: the name is unknown or cannot be loaded; the message gives the cause or the choices.
+            ValueError: the name is unknown or cannot be loaded, for any error in its package; the message gives the choices,
+                or the cause and the package.
         """
-        target, _ = self.locate(name)
-        if isinstance(target, metadata.EntryPoint):
-            return target.load() if name in self._table else self._loaded(target)
-        return target
+        target, owner = self.locate(name)
+        if not isinstance(target, metadata.EntryPoint):
+            return target
+        if name in self._table:
+            return target.load()
+        try:
+            factory = target.load()
+        except Exception as error:  # the code of another package
+            cause = f"{type(error).__name__}: {error}"
+            raise InputError(f"{self.noun} {name!r} of {owner} cannot be loaded: {cause}") from error
+        return self._checked(name, factory, f"{target.value} of {owner}")
 
     def locate(self, name: str) -> tuple[metadata.EntryPoint | type[Any], str]:
         """Return where the class of `name` is, or the class if it was registered, and the package or module it is from.
@@ -93,15 +101,6 @@ class Registry:
             own = "your own: --import FILE, see docs/extending.md"
             raise InputError(f"unknown {self.noun} {name!r}; {choices(name, self.names())} ({own})")
         return metadata.EntryPoint(name, target, self.kind) if isinstance(target, str) else target, owners[0]
-
-    def _loaded(self, point: metadata.EntryPoint) -> type[Any]:
-        """Return the class of an entry point. Any error in its package becomes a ValueError that names the package."""
-        try:
-            factory = point.load()
-        except Exception as error:
-            cause = f"{type(error).__name__}: {error}"
-            raise InputError(f"{self.noun} {point.name!r} of {_owner(point)} cannot be loaded: {cause}") from error
-        return self._checked(point.name, factory, f"{point.value} of {_owner(point)}")
 
     def _checked(self, name: str, factory: Any, source: str) -> type[Any]:
         """Return `factory`, which comes from `source`, if it is a dataclass of this kind with the name `name`."""
