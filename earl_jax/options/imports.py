@@ -59,7 +59,8 @@ def note(file: str | Path, sha256: str | None = None) -> None:
         raise InputError(f"{file} can't be imported: its name does not end in .py")
     if not path.is_file():
         raise InputError(f"{file} can't be imported: there is no such file")
-    _noted.setdefault(path.resolve(), {"file": str(file), "sha256": sha256 or _sha256(path.read_bytes())})
+    sha256 = sha256 or hashlib.sha256(path.read_bytes()).hexdigest()
+    _noted.setdefault(path.resolve(), {"file": str(file), "sha256": sha256})
 
 
 def run_noted() -> None:
@@ -74,10 +75,11 @@ def run_noted() -> None:
     """
     for path, record in list(_noted.items()):
         content = path.read_bytes()
-        if _sha256(content) != record["sha256"]:
-            was, now = short_hash(record), _sha256(content)[:8]
+        now = hashlib.sha256(content).hexdigest()
+        if now != record["sha256"]:
+            hashes = f"sha256 {short_hash(record)} then, {now[:8]} now"
             raise InputError(
-                f"{record['file']} has changed since this command first read it (sha256 {was} then, {now} now); repeat "
+                f"{record['file']} has changed since this command first read it ({hashes}); repeat "
                 "the command, so that all of it is of one text"
             )
         _run_once(path, content)
@@ -113,7 +115,3 @@ def _run(name: str, path: Path, content: bytes) -> None:
             raise InputError(f"{path} can't be imported: {error}") from error
         error.add_note(f"earl-jax: {path} can't be imported")
         raise
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
