@@ -120,15 +120,18 @@ class Search:
     def train_batch(self) -> bool:
         """Train the running trials through all rungs, and return whether that came to its end."""
         for steps in self.rung_steps:
+            schedule = self.base.schedule.changed(steps=steps)
             trials = [trial for trial in self._running() if steps not in trial.intermediate_values]
             options = [{**self.base.options, **self._options(trial)} for trial in trials]
-            specs = [_spec_to(steps, dataclasses.replace(self.base, options=own)) for own in options]
+            specs = [dataclasses.replace(self.base, options=own, schedule=schedule) for own in options]
             if specs:
                 self._train(specs)
             for trial, spec in zip(trials, specs, strict=True):
                 score = _score(self.out / spec.name, steps)
-                if score is not None:
-                    self._report(trial, steps, score)
+                if score is not None:  # Optuna's own `report` works only in the process that asked for the trial
+                    study = self.storage.get_study_id_from_name(self.study.study_name)
+                    own = self.storage.get_trial_id_from_study_id_trial_number(study, trial.number)
+                    self.storage.set_trial_intermediate_value(own, steps, score)
                 elif self.limit and self.limit.passed:
                     return False
                 else:
@@ -136,19 +139,14 @@ class Search:
             self._conclude(steps)
         return True
 
-    def _report(self, trial: Any, steps: int, score: float) -> None:
-        """Write a score of a trial, which Optuna's own `report` can do only in the process that asked for the trial."""
-        study = self.storage.get_study_id_from_name(self.study.study_name)
-        own = self.storage.get_trial_id_from_study_id_trial_number(study, trial.number)
-        self.storage.set_trial_intermediate_value(own, steps, score)
-
     def _train(self, specs: Sequence[grid.RunSpec]) -> None:
         """Train the runs `specs` to their steps, and emit the causes of those that fail."""
         configs: dict[str, RunConfig] = {}
         for spec in specs:
             path = self.out / spec.name
             if (path / CONFIG).is_file():  # an equal trial may be longer
-                spec = _spec_to(max(spec.schedule.steps, RunFolder.open(path).config.steps), spec)
+                steps = max(spec.schedule.steps, RunFolder.open(path).config.steps)
+                spec = dataclasses.replace(spec, schedule=spec.schedule.changed(steps=steps))
             configs[spec.name] = planned_run(spec, self.out).run.config
 
         def report(name: str, state: str, detail: str) -> None:
@@ -193,11 +191,6 @@ def _sampler(name: str, seed: int, number: int) -> Any:
     if name == "random":
         return samplers.RandomSampler(seed=seed + number)
     return samplers.TPESampler(seed=seed + number, constant_liar=True)  # the liar keeps the trials of a batch apart
-
-
-def _spec_to(steps: int, spec: grid.RunSpec) -> grid.RunSpec:
-    """Return the run `spec` with another number of steps."""
-    return dataclasses.replace(spec, schedule=spec.schedule.changed(steps=steps))
 
 
 def _rung_steps(schedule: Schedule, rungs: int) -> tuple[int, ...]:
