@@ -41,8 +41,15 @@ class RunSpec:
 
     @property
     def name(self) -> str:
-        """Folder of the run in the folder of the sweep. It depends on the task, the method and the options alone."""
-        return f"{self.env}/{self.algo}/{_slug(self.options)}"
+        """Folder of the run in the folder of the sweep. It depends on the task, the method and the options alone.
+
+        The part of the options is readable if possible, and the same for the same options.
+        """
+        exact = ",".join(f"{name}={_text(value)}" for name, value in sorted(self.options.items())) or "default"
+        safe = re.sub(r"[^A-Za-z0-9._=,+-]", "_", exact)
+        if safe != exact or len(safe) > LONGEST:
+            safe = f"{safe[: LONGEST - 9]}-{hashlib.blake2b(exact.encode(), digest_size=4).hexdigest()}"
+        return f"{self.env}/{self.algo}/{safe}"
 
 
 def read(path: Path) -> list[RunSpec]:
@@ -144,15 +151,6 @@ def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:
 def without_null(value: Any) -> Any:
     """Return a value of TOML as an option takes it: None for `NULL`."""
     return None if value == NULL else value
-
-
-def _slug(options: dict[str, Any]) -> str:
-    """Return options as a folder name: readable if possible, and the same for the same options."""
-    exact = ",".join(f"{name}={_text(value)}" for name, value in sorted(options.items())) or "default"
-    safe = re.sub(r"[^A-Za-z0-9._=,+-]", "_", exact)
-    if safe == exact and len(safe) <= LONGEST:
-        return safe
-    return f"{safe[: LONGEST - 9]}-{hashlib.blake2b(exact.encode(), digest_size=4).hexdigest()}"
 
 
 def _text(value: Any) -> str:
