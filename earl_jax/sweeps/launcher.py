@@ -13,7 +13,6 @@ from earl_jax.sweeps.processes import Event, Task, Workers, events, start
 from earl_jax.sweeps.slots import MOST, PerDevice, Slot, open_slots
 
 LAUNCHERS = ("local", "slurm")
-EmitLine = Callable[[str], None]
 
 
 class Outcome(NamedTuple):
@@ -40,7 +39,7 @@ def sweep(
     slurm: tuple[str, ...] = (),
     devices: int | None = None,
     per_device: PerDevice = None,
-    emit: EmitLine = print,
+    emit: Callable[[str], None] = print,
     logs: Sequence[str] = (),
     minutes: float | TimeLimit | None = None,
 ) -> Outcome:
@@ -146,7 +145,9 @@ def describe(plan: dict[str, Any]) -> str:
     return "\n".join([*lines, f"{runs}, {finished} of them done; programs to run: {len(plan['groups'])}"])
 
 
-def _run_locally(tasks: list[Task], per_device: PerDevice, emit: EmitLine) -> tuple[dict[str, str], int | None]:
+def _run_locally(
+    tasks: list[Task], per_device: PerDevice, emit: Callable[[str], None]
+) -> tuple[dict[str, str], int | None]:
     """Train the runs of `tasks`, as many tasks at a time as there are slots.
 
     Return the last state of each run by name, `waiting` if it has not started, and the number of the signal that stopped

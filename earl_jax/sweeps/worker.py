@@ -114,7 +114,12 @@ def _described(group: list[PlannedRun]) -> dict[str, Any]:
 def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
     """Return a run of a grid, after all checks that are possible before training. Errors as `plan`."""
     run, path = resolved_run(spec), out / spec.name
-    step = _reached(open_folder(path, run.config)) if has_results(path) else 0
+    if not has_results(path):
+        return PlannedRun(name=spec.name, run=run, step=0)
+    folder = open_folder(path, run.config)
+    step, steps = newest(folder.checkpoints), folder.config.steps
+    if step == 0 and policies_step(folder.policies) == steps == folder.table().step:
+        step = steps  # of a finished run, whose checkpoints were removed
     return PlannedRun(name=spec.name, run=run, step=step)
 
 
@@ -128,14 +133,6 @@ def resolved_run(spec: grid.RunSpec) -> Run:
     except InputError as error:
         raise InputError(f"{spec.name}: {error}") from error
     return run
-
-
-def _reached(folder: RunFolder) -> int:
-    """Return the step of the newest checkpoint, or the last step of a finished run whose checkpoints were removed."""
-    step, steps = newest(folder.checkpoints), folder.config.steps
-    if step == 0 and policies_step(folder.policies) == steps:
-        return steps if folder.table().step == steps else 0
-    return step
 
 
 def open_folder(path: Path, config: RunConfig) -> RunFolder:
