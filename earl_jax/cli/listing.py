@@ -54,10 +54,14 @@ def describe_all() -> dict[str, Any]:
 def describe(kind: str, name: str) -> dict[str, Any]:
     """Return what a task, method, learner or preset is: sizes or source, policies and options; of a preset its schedule.
 
-    One whose class cannot be loaded, or that several packages claim, has the key `error` instead.
+    The steps of a preset are None where they are those of the paper for the task. A task, method or learner whose class
+    cannot be loaded, or that several packages claim, has the key `error` instead.
     """
     if kind == "preset":
-        return _preset(name)
+        preset = PRESETS[name]
+        schedule = dataclasses.asdict(preset.schedule) | ({"steps": None} if preset.published_steps else {})
+        own = {"summary": preset.summary, "seeds": preset.seeds, **schedule, "values": preset.options}
+        return {"kind": kind, "name": name, **own}
     head: dict[str, Any] = {"kind": kind, "name": name, "package": ""}
     try:
         target, head["package"] = REGISTRIES[kind].locate(name)
@@ -80,16 +84,6 @@ def _policies(name: str) -> dict[str, Any]:
                 options = {**info["config"]["env_options"], **info["config"]["options"]}
                 policies[method if name == task else task] = {**{key: info[key] for key in SCORES}, "options": options}
     return policies
-
-
-def _preset(name: str) -> dict[str, Any]:
-    """Return the description of a preset, whose steps are None where they are those of the paper for the task."""
-    preset = PRESETS[name]
-    schedule = dataclasses.asdict(preset.schedule) | ({"steps": None} if preset.published_steps else {})
-    return {
-        "kind": "preset", "name": name, "summary": preset.summary, "seeds": preset.seeds, **schedule,
-        "values": preset.options,
-    }  # fmt: skip
 
 
 def _overview(everything: dict[str, Any]) -> str:

@@ -121,13 +121,14 @@ class Progress:
     def _break_silence(self) -> None:
         """Print a line whenever none was printed for the time of `SILENCE`, until the context ends."""
         while not self._ended.wait(max(0.0, self._last_line + SILENCE - time.monotonic())):
-            if time.monotonic() - self._last_line >= SILENCE:
-                self._print(self._state())
-
-    def _state(self) -> str:
-        if self._compiling:
-            return f"{self._work}: still in the first call, which compiles, after {time.monotonic() - self._work_start:.0f} s"
-        return f"step {self._done}/{self._steps}  {self._work}  {self._pace()}"
+            now = time.monotonic()
+            if now - self._last_line < SILENCE:
+                continue
+            if self._compiling:
+                took = f"{now - self._work_start:.0f} s"
+                self._print(f"{self._work}: still in the first call, which compiles, after {took}")
+            else:
+                self._print(f"step {self._done}/{self._steps}  {self._work}  {self._pace()}")
 
     def _print(self, line: str) -> None:
         self._last_line = time.monotonic()
