@@ -50,7 +50,7 @@ def optional(module: str, need: str, extra: str) -> Any:
 def choices(name: Any, names: Iterable[str]) -> str:
     """Return `names` for the message about an unknown `name`, after the one that it resembles most, if any does."""
     text, names = str(name).lower(), list(names)
-    near = [known for known in names if len(text) > 2 and text in known] or get_close_matches(text, names, 1)
+    near = get_close_matches(text, names, 1) or [known for known in names if len(text) > 2 and text in known]
     return f"did you mean {near[0]!r}? Choose from {', '.join(names)}" if near else f"choose from {', '.join(names)}"
 
 

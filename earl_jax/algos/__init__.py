@@ -99,8 +99,9 @@ def method_for(env: Env, name: str, **options) -> Method:
     """Return `make_algo(name, **options)`, with the reward scale of `env` unless it or a learner object has another one.
 
     Raises:
-        ValueError: as `make_algo`.
+        ValueError: as `make_algo`, or `env` is no task but a name.
     """
+    require_object("task", env, Env, or_name=False)
     learner = options.get("learner")
     if not isinstance(learner, Learner) or np.all(learner.reward_scale == type(learner).reward_scale):
         options.setdefault("reward_scale", env.reward_scale)

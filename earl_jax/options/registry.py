@@ -5,7 +5,7 @@ import functools
 from importlib import metadata
 from typing import Any
 
-from earl_jax.errors import InputError, choices
+from earl_jax.errors import InputError, brief, choices
 
 ARGUMENTS = frozenset(
     {"env", "name", "algo", "setting", "seeds", "steps", "eval_every", "eval_episodes", "checkpoint_every"}
@@ -99,7 +99,7 @@ class Registry:
             return points[0], owners[0]
         if target is None:
             own = "your own: --import FILE, see docs/extending.md"
-            raise InputError(f"unknown {self.noun} {name!r}; {choices(name, self.names())} ({own})")
+            raise InputError(f"unknown {self.noun} {brief(name)}; {choices(name, self.names())} ({own})")
         return metadata.EntryPoint(name, target, self.kind) if isinstance(target, str) else target, owners[0]
 
     def _checked(self, name: str, factory: Any, source: str) -> type[Any]:

@@ -11,7 +11,7 @@ from earl_jax.envs import Env
 from earl_jax.envs.wrappers.help_budget import HelpBudget, without_budget
 from earl_jax.errors import InputError, require_known
 from earl_jax.options.schedule import Schedule
-from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, check_intervals, within
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, check_intervals, require_object, within
 from earl_jax.protocol.rules import Protocol
 
 HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_reward")
@@ -127,6 +127,7 @@ def setting_of(name: str | Setting = Deployment.name, **options: Any) -> Setting
     """
     if isinstance(name, Setting):
         return name
+    require_object("setting", name, Setting)
     require_known("setting", name, SETTINGS)
     check(f"setting {name!r}", SETTINGS[name], options)
     return SETTINGS[name](**options)

@@ -7,7 +7,7 @@ import pytest
 from flax import struct
 
 from earl_jax import assets
-from earl_jax.algos import SAC, learner_of, make_algo, register_learner
+from earl_jax.algos import SAC, learner_of, make_algo, method_for, register_learner
 from earl_jax.algos.goals import GoalIndices, goal_table
 from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.replay import unpack
@@ -55,6 +55,8 @@ def test_the_registry_lists_the_methods_and_refuses_what_is_no_learner():
     for learner, given in ((SAC, r"<class .*SAC'>; did you mean SAC\(\)\?"), (3, "3")):
         with pytest.raises(ValueError, match=f"the learner must be a name or an object of Learner, not {given}"):
             make_algo("naive", learner=learner)
+    with pytest.raises(ValueError, match="the task must be an object of Env, not 'sawyer_door'"):
+        method_for("sawyer_door", "naive")  # pyright: ignore[reportArgumentType]
 
 
 class Tiled(SAC):

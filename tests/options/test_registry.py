@@ -87,6 +87,10 @@ def test_an_unknown_name_says_what_it_may_mean_and_how_to_name_a_class_of_ones_o
             ValueError, match=f"^unknown task '{name}'; did you mean '{own}'\\? Choose from cheetah_run"
         ):
             envs.make(name)
+    with pytest.raises(ValueError, match=r"^unknown method 'FBRL'; did you mean 'fbrl'\?"):
+        earl_jax.make_algo("FBRL")
+    with pytest.raises(ValueError, match=r"^unknown method Naive\(.{,40}; choose from"):
+        earl_jax.make_algo(earl_jax.make_algo("naive"))  # pyright: ignore[reportArgumentType]
 
 
 def test_a_name_claimed_twice_is_an_error_that_names_both_owners(install):

@@ -47,6 +47,8 @@ def test_an_explicit_h_t_that_equals_the_tasks_default_holds():
 def test_unknown_settings_options_and_pairs_are_refused(env):
     with pytest.raises(ValueError, match="unknown setting 'lifelong'; choose from deployment, continuing"):
         setting_of("lifelong")
+    with pytest.raises(ValueError, match=r"the setting must be a name or .*; did you mean Continuing\(\)\?"):
+        setting_of(Continuing)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="setting 'deployment' has no option 'goal_change'"):
         setting_of("deployment", goal_change=3)
     with pytest.raises(ValueError, match="unknown eval_pairs 'stratified'; choose from random, balanced"):
