@@ -75,12 +75,14 @@ def replacing(path: Path) -> Iterator[None]:
     """A context that writes `path`; where a file was there before, a line on stderr says so after it was replaced.
 
     Raises:
-        ValueError: the file is one of a run, which would be lost.
+        ValueError: the file is one of a run, which would be lost, or a folder is there.
     """
     from earl_jax.runs.contents import CONFIG, FILES
 
     if path.name in FILES and (path.parent / CONFIG).is_file():
         raise InputError(f"{path} is a file of a run; choose another name")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; choose the name of a file")
     before = path.stat() if path.is_file() else None
     yield
     if before is not None:

@@ -123,6 +123,9 @@ def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
     before = data.read_bytes()
     assert "is a file of a run; choose another name" in run("table", tmp_path / "runs", "--out", data)[2]
     assert data.read_bytes() == before
+    (tmp_path / "folder.md").mkdir()
+    for command in (("table", tmp_path / "runs"), ("demos", "tabletop_organization")):
+        one_line(run(*command, "--out", tmp_path / "folder.md"), "folder.md is a folder; choose the name of a file")
     refusal = "give one for each of: naive (reward_scale=10); naive (reward_scale=1)"
     one_line(run("table", tmp_path / "runs", "--labels", "one"), refusal)
 
