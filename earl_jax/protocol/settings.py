@@ -62,7 +62,13 @@ class Setting:
     def protocol(
         self, env: Env, eval_every: int = Schedule.eval_every, eval_episodes: int = Schedule.eval_episodes
     ) -> Protocol:
-        """Return the protocol of a lifetime in `env`."""
+        """Return the protocol of a lifetime in `env`.
+
+        Raises:
+            ValueError: the setting has a budget, and `env` was not wrapped in its `HelpBudget`.
+        """
+        if self.budget is not None and not isinstance(env, HelpBudget):
+            raise InputError(f"the setting has a budget, but {env.name} was not wrapped in it: pass setting.wrap(env)")
         return Protocol(
             **self._intervals(env),
             eval_horizon=env.eval_horizon,

@@ -121,6 +121,7 @@ def act_and_start(
         actor = before_update(select_controller(stacked, controller))
         action = method.act(key, problem.env, actor, lane.env_state.obs, _moment(lane, step), lane.method_state)
         action = jnp.asarray(action, jnp.float32)
+        require_result(f"{method.name}: the action from act", action, (problem.env.action_size,), "number")
         action = action if warmup is False else jnp.where(warmup, _random_action(problem, key), action)
     return action, problem.env.start_step(lane.env_state, action)
 

@@ -198,7 +198,7 @@ def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
         *[({"attempt_steps": value}, "attempt_steps must be a whole number, not") for value in (None, 1.5, "x", True, [1])],
         *[({"width": value}, "width must") for value in (None, 1.5, -5, 0, 100_000)],
         ({"height": "x"}, "height must be a whole number, not 'x'"),
-        ({"setting": None}, "unknown setting None"),
+        ({"setting": None}, "the setting must be a name or an object of Setting, not None"),
         ({"task": [1]}, r"unknown task \[1\]"),
         ({"task": make(TABLETOP), "reward_type": "dense"}, "go with a task's name"),
         ({"render_mode": "human"}, "render_mode 'human'"),

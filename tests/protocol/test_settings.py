@@ -64,3 +64,5 @@ def test_a_budget_wraps_the_task_and_is_split_off_again(env):
     assert split_setting(wrapped, Deployment(budget=5.0, help_cost=2.0, help_above=0.5))[0] is env
     with pytest.raises(ValueError, match="the setting has another budget: leave out one of the two"):
         split_setting(wrapped, Deployment(budget=3.0))
+    with pytest.raises(ValueError, match=r"tabletop_organization was not wrapped in it: pass setting.wrap\(env\)"):
+        Deployment(budget=5.0).protocol(env)
