@@ -96,7 +96,7 @@ CONFIG = [
     ("env", "5", "env must be a str, not 5"),
     ("algo", '"nothing"', "unknown method 'nothing'; choose from "),
     ("setting", "{}", "setting has no name: {}"),
-    ("setting", '{"name": 5}', "unknown setting 5; choose from deployment, continuing"),
+    ("setting", '{"name": 5}', "the setting must be a name or an object of Setting, not 5"),
     ("env_class", "5", "env_class must be text or null, not 5"),
     ("env_class", '"os:system"', "as an object of os:system, which is not registered here"),
     ("algo_class", '"../x:y"', "as an object of ../x:y, which is not registered here"),
