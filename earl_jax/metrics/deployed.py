@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from earl_jax.envs import Env, State, balanced_starts
 from earl_jax.envs.starts import EVAL_PAIRS
 from earl_jax.errors import require_known
-from earl_jax.options.values import EPISODES, require
+from earl_jax.options.values import COUNT, EPISODES, require
 
 WIDE = "deployed/success_wide"
 """The metric of episodes from `Env.starts.wide`, on tasks that have it."""
@@ -53,10 +53,11 @@ def deployed(
     docs/formalism.md says why). They are part of the same scan, and change no other episode.
 
     Raises:
-        ValueError: `pairs` is unknown, or `episodes` are fewer than one.
+        ValueError: `pairs` is unknown, or `episodes` or `horizon` are no whole number from one on.
     """
     require_known("pairs", pairs, EVAL_PAIRS)
     require("episodes", episodes, EPISODES)
+    require("horizon", horizon, COUNT)
     if pairs == "balanced":
         states = balanced_starts(env, key, episodes)
     else:

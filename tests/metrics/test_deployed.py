@@ -56,5 +56,6 @@ def test_an_episode_ends_where_the_simulation_breaks(env):
 def test_an_unknown_way_to_draw_pairs_and_no_episodes_are_refused(env):
     with pytest.raises(ValueError, match="unknown pairs 'stratified'; choose from random, balanced"):
         deployed(env, idle, KEY, 1, 4, pairs="stratified")
-    with pytest.raises(ValueError, match=r"episodes must lie in \[1, 100000\], not 0"):
-        deployed(env, idle, KEY, 1, 0)
+    for number, arguments in {"episodes": (1, 0), "horizon": (0, 1)}.items():
+        with pytest.raises(ValueError, match=rf"{number} must lie in \[1, \d+\], not 0"):
+            deployed(env, idle, KEY, *arguments)
