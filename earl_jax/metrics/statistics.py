@@ -22,6 +22,10 @@ class Estimate(NamedTuple):
     low: Any
     high: Any
 
+    def columns(self, name: str, prefix: str = "") -> dict[str, Any]:
+        """Return the columns `name`, `low` and `high` of a row; the last two start with `prefix`."""
+        return dict(zip((name, f"{prefix}low", f"{prefix}high"), self, strict=True))
+
 
 class Summary(NamedTuple):
     """A summary of scores: `mean`, `stderr`, `iqm` with its 95 % interval `low` to `high`, number of `seeds`."""

@@ -105,13 +105,8 @@ def column(rows: Iterable[Row], name: str) -> np.ndarray:
     return np.array([row[name] for row in rows], float)
 
 
-def interval_columns(estimate: Estimate, name: str, prefix: str = "") -> Row:
-    """Return an estimate as the columns `name`, `low` and `high`; the last two start with `prefix`."""
-    return dict(zip((name, f"{prefix}low", f"{prefix}high"), estimate, strict=True))
-
-
 def estimate_of(row: Row, name: str, prefix: str = "") -> Estimate:
-    """Return the estimate that `interval_columns` wrote into `row`."""
+    """Return the estimate whose `columns` are in `row`."""
     return Estimate(row[name], row[f"{prefix}low"], row[f"{prefix}high"])
 
 

@@ -17,7 +17,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, Sample, mean_interval
 from earl_jax.metrics.scores import final_scores
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, interval_columns
+from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row
 from earl_jax.report import style
 from earl_jax.report.comparison import compared_texts, comparison_columns, with_verdicts
 from earl_jax.report.pooling import read_all
@@ -71,7 +71,7 @@ class Point(NamedTuple):
     def row(self, scores: np.ndarray, **columns: int) -> Row:
         """Return the row of `scores [seeds]`, with further `columns` before their mean."""
         key = {"env": self.env, "timeout_bootstrap": self.bootstrap, "train_horizon": self.horizon}
-        return {**key, **columns, **interval_columns(mean_interval(scores), "return")}
+        return {**key, **columns, **mean_interval(scores).columns("return")}
 
 
 Arms = dict[tuple[str, bool], list[Point]]

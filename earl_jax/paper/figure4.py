@@ -14,7 +14,7 @@ from earl_jax import assets
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.statistics import Estimate, relative_drop
-from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, interval_columns, runs_of
+from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, runs_of
 from earl_jax.report.pooling import pooling_key
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach
 from earl_jax.report.tables import interval_text, markdown_table
@@ -63,9 +63,9 @@ def _row(algo: str, seeds: Sequence[Row]) -> Row:
     return {
         "algo": algo,
         "seeds": len(initial),
-        **interval_columns(mean_interval(initial, rate=True), "initial", "initial_"),
-        **interval_columns(mean_interval(uniform, rate=True), "uniform", "uniform_"),
-        **interval_columns(drop, "drop", "drop_"),
+        **mean_interval(initial, rate=True).columns("initial", "initial_"),
+        **mean_interval(uniform, rate=True).columns("uniform", "uniform_"),
+        **drop.columns("drop", "drop_"),
         "published_drop": published_drop,
         "verdict": verdict(drop, published_drop),
     }

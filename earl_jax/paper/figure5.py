@@ -11,7 +11,7 @@ from typing import Any
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.metrics.scores import SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, interval_columns, mean_text, runs_of
+from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, mean_text, runs_of
 from earl_jax.report import style
 from earl_jax.report.paper_rows import CONTINUING, table_scores
 from earl_jax.report.pooling import read_methods
@@ -45,7 +45,7 @@ def _points(runs: Sequence[Curves]) -> Iterator[Row]:
             band = interval_of(curves, values, metric.removesuffix(SMOOTH))
             for step, *ends in zip(curves.steps.tolist(), *band, strict=True):
                 key = {"env": curves.env, "algo": curves.label, "step": step, "metric": metric}
-                yield {**key, **interval_columns(Estimate(*ends), "mean"), "seeds": curves.seeds}
+                yield {**key, **Estimate(*ends).columns("mean"), "seeds": curves.seeds}
 
 
 def _line(curves: Curves) -> list[str]:

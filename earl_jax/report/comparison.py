@@ -168,8 +168,7 @@ def _row(
     own, test = interval_of(first, scores, metric), comparison_columns(scores, other)
     return {
         "env": first.env, "first": first.label, "second": name, "steps": step, "seeds": len(scores),
-        "other_seeds": test["other_seeds"], "mean": own.value, "mean_low": own.low, "mean_high": own.high,
-        **test, "age": 1.0, "mean_over": first.window.text,
+        "other_seeds": test["other_seeds"], **own.columns("mean", "mean_"), **test, "age": 1.0, "mean_over": first.window.text,
     }  # fmt: skip
 
 
@@ -185,9 +184,7 @@ def comparison_columns(own: np.ndarray | Sample, other: np.ndarray | Sample, pre
         "seeds": first.seeds,
         "other_seeds": second.seeds,
         "other_mean": second.mean,
-        "difference": result.difference,
-        f"{prefix}low": result.low,
-        f"{prefix}high": result.high,
+        **Estimate(*result[:3]).columns("difference", prefix),
         "p": result.p,
         "verdict": "",
         "detectable": detectable_difference(first, second),
