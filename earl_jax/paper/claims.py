@@ -70,11 +70,15 @@ CLAIM_RULE = (
 
 def claims_text(number: int, runs: Sequence[Curves]) -> str:
     """Return a table of the tests of the claims about table `number`, and for table 2 what can be counted."""
-    published, ours = claim_rows(number), claim_rows(number, runs)
-    pairs = zip(published, ours, strict=True)
-    lines = [[*_names(first), *_tests(first), *_tests(second, steps=True)] for first, second in pairs]
-    for previous, line in reversed(list(itertools.pairwise(lines))):
-        line[0] = "the same" if previous[0] == line[0] else line[0]
+    lines, last = [], ""
+    for published, ours in zip(claim_rows(number), claim_rows(number, runs), strict=True):
+        text = "the same" if published["text"] == last else published["text"]
+        last = published["text"]
+        methods = [method_title(algo) for algo in (published["first"], published["second"]) if algo]
+        pair = " minus ".join(methods) if len(methods) > 1 else f"{methods[0]}, end minus beginning"
+        (difference, _, p, _), (own_difference, _, own_p, _) = map(compared_texts, (published, ours))
+        tests = [difference, p, word(published), own_difference, millions(ours["steps"]), own_p, word(ours)]
+        lines.append([text, task_title(published["env"]), pair, *tests])
     table = f"Claims of the paper's text:\n\n{markdown_table(HEADER, lines)}\n\n{CLAIM_RULE}"
     return f"{table}\n\n{counted(runs)}" if number == 2 else table
 
@@ -111,18 +115,6 @@ def _printed(claim: Claim) -> Row:
     scores = [published_score(f"table{claim.number}", claim.env, algo) for algo in (claim.first, claim.second) if algo]
     first, second = (sample for score in scores if score and (sample := score.sample))
     return comparison_columns(first, second)
-
-
-def _names(row: Row) -> list[str]:
-    first = method_title(row["first"])
-    pair = f"{first} minus {method_title(row['second'])}" if row["second"] else f"{first}, end minus beginning"
-    return [row["text"], task_title(row["env"]), pair]
-
-
-def _tests(row: Row, steps: bool = False) -> list[str]:
-    """Return the difference, the steps if asked, the adjusted p and the verdict of a row."""
-    difference, _, p, _ = compared_texts(row)
-    return [difference, *([millions(row["steps"])] if steps else []), p, word(row)]
 
 
 def word(row: Row) -> str:

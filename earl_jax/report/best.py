@@ -73,7 +73,8 @@ def _ranked(runs: Sequence[Curves], test: Test, metric: str | None) -> list[Row]
         sides = (leader, scores) if test == "permutation" else (Sample.of(leader), Sample.of(scores))
         columns = comparison_columns(*sides, "difference_") | {"seeds": len(scores), "other_seeds": len(leader)}
         row |= {name: value for name, value in columns.items() if name in row}
-        row["least_p"] = _least_p(len(leader), len(scores), test)
+        least = smallest_p(len(leader), len(scores)) if test == "permutation" else 0.0  # Welch's p has no limit
+        row["least_p"] = least if min(len(leader), len(scores)) > 1 else math.nan
     family = sum(not math.isnan(row["p"]) for row, _ in tested)
     for row in with_verdicts([row for row, _ in tested]):
         row["least_p"] = min(row["least_p"] * family, 1.0)  # nan stays
@@ -84,20 +85,13 @@ def _ranked(runs: Sequence[Curves], test: Test, metric: str | None) -> list[Row]
     return rows
 
 
-def _least_p(first: int, second: int, test: Test) -> float:
-    """Return the smallest p that the test of `first` against `second` seeds can give; Welch's has no such limit."""
-    if min(first, second) < 2:
-        return math.nan
-    return smallest_p(first, second) if test == "permutation" else 0.0
-
-
 def _row(rank: int, curves: Curves, scores: np.ndarray, metric: str | None) -> Row:
     """Return the row of a run that is not compared."""
     interval = interval_of(curves, scores, metric)
     return {
         "env": curves.env, "rank": rank, "method": curves.algo, "label": curves.label, "options": options_text(curves.options),
         "metric": metric or curves.deployed_metric, "seeds": len(scores), "steps": int(curves.steps[-1]),
-        "mean_over": curves.window.text, "score": interval.value, "low": interval.low, "high": interval.high,
+        "mean_over": curves.window.text, **interval.columns("score"),
         **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p", "detectable"), math.nan),
         "other_seeds": len(scores),
         "verdict": CANNOT_TELL if math.isnan(interval.value) else "shorter",

@@ -78,7 +78,11 @@ def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
     }
     if curves:
         row |= {"label": curves.label, "options": options_text(curves.options), "chosen": chosen_words(curves)}
-        row |= _measured(number, curves) | _test(number, curves, score)
+        metric, step = curves.deployed_metric if number == 1 else CONTINUING, int(curves.steps[-1])
+        scores = table_scores(number, curves, step)
+        mean, low, high = interval_of(curves, scores, metric)
+        values = (metric, len(scores), curves.diverged, step, mean, float(stderr(scores)), low, high)
+        row |= dict(zip(MEASURED, values, strict=True)) | _test(number, curves, score)
     return row
 
 
@@ -104,15 +108,6 @@ def table_scores(number: int, curves: Curves, step: int | None = None) -> np.nda
         return seed_scores(curves, step=step)
     until = curves.steps <= (curves.steps[-1] if step is None else step)
     return curves.metrics[CONTINUING][:, until][:, -1]
-
-
-def _measured(number: int, curves: Curves) -> Row:
-    """Return the columns of the scores of the seeds of `curves`."""
-    metric, step = curves.deployed_metric if number == 1 else CONTINUING, int(curves.steps[-1])
-    scores = table_scores(number, curves, step)
-    mean, low, high = interval_of(curves, scores, metric)
-    values = (metric, len(scores), curves.diverged, step, mean, float(stderr(scores)), low, high)
-    return dict(zip(MEASURED, values, strict=True))
 
 
 def share_of_steps(row: Row) -> str:

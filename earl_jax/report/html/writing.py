@@ -59,6 +59,7 @@ def write_page(
         for task in content["tasks"]
     }
     script, style = ((TEMPLATES / f"report.{kind}").read_text() for kind in ("js", "css"))
+    digests = [hashlib.sha256(text.encode()).digest() for text in (script, plotly)]
     command = ["earl-jax", "report", *map(str, folders), "--out", str(out), *(["--videos"] if policies else [])]
     command += [f"--{name}={value}" for name, value in zip(("last", "window"), window, strict=True) if value]
     page = environment.get_template("report.html").render(
@@ -70,7 +71,7 @@ def write_page(
         script=script,
         plotly=_packed(plotly),
         numbers=_packed(json.dumps(plots, allow_nan=False)),
-        hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in (script, plotly)),
+        hashes=" ".join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests),
     )
     return written(out, page.encode("ascii", "xmlcharrefreplace").decode())
 
@@ -101,10 +102,6 @@ def _libraries(out: Path) -> tuple[Any, str]:
 def _packed(text: str) -> str:
     """Return `text` compressed and in base64; the page's script unpacks it."""
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
-
-
-def _sha256(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
 def watch_page(
