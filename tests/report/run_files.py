@@ -12,8 +12,7 @@ from earl_jax.envs import make
 from earl_jax.runs.folder import RunFolder
 from tests.conftest import make_config
 
-TABLETOP, DOOR, KITCHEN, LIGHTBULB = "tabletop_organization", "sawyer_door", "franka_kitchen", "dhand_lightbulb"
-MINITAUR = "minitaur_pen"
+TABLETOP, DOOR, KITCHEN, MINITAUR = "tabletop_organization", "sawyer_door", "franka_kitchen", "minitaur_pen"
 
 
 def write_run(

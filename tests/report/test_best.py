@@ -47,11 +47,26 @@ def test_a_window_of_another_kind_and_an_unknown_test_are_refused_before_any_run
         best([tmp_path], test="t")
 
 
-def test_runs_that_share_the_highest_score_are_tied(tmp_path):
-    rows = best([write_cells(tmp_path, zero=[0.0] * 3, none=[0.0] * 3, nil=[0.0] * 3, less=[-0.1] * 3)])
-    assert [(row["rank"], row["verdict"]) for row in rows[:3]] == [(1, "tied")] * 3
-    assert (rows[3]["rank"], rows[3]["verdict"]) == (4, "cannot tell")
-    assert "Of 3 others of the same length, 3 cannot be told from the best: rank 1, 4." in best_text(rows)
+FEW, LESS, NAN = [0.0] * 3, [-0.1] * 3, [math.nan, *GOOD]
+RANKED = [
+    ({"a": FEW, "b": FEW, "c": FEW, "d": LESS}, "tied, tied, tied, cannot tell", "from the best: rank 1, 4."),
+    ({"short": GOOD, "bad": BAD, "close": CLOSE}, "best, below, shorter", "Of 1 other of the same length, 0"),
+    ({"bad": BAD, "dead": NAN, "good": GOOD}, "best, below, cannot tell", "cannot tell: a score is not finite"),
+    ({"nan": NAN}, "cannot tell", "no other run of the same length"),
+    ({f"n{n}": [n, n + 0.1] for n in range(5)}, "best" + 4 * ", cannot tell", "of so many permutation tests is 1."),
+    ({"4": GOOD[:4], "bad": BAD[:4], "x": [0.5], "y": [0.6]}, "best, cannot tell, cannot tell, below", "two seeds"),
+]
+"""The scores of runs, their verdicts by rank, and a text about them."""
+
+
+@pytest.mark.parametrize(("cells", "verdicts", "text"), RANKED)
+def test_verdicts_and_tests_that_count_in_the_family_are_those_of_runs_with_a_p(tmp_path, cells, verdicts, text):
+    rows = best([write_cells(tmp_path, **cells)])
+    assert ", ".join(row["verdict"] for row in rows) == verdicts
+    assert text in best_text(rows)
+    tested = [row for row in rows if not math.isnan(row["p"])]
+    assert [row["p_holm"] for row in tested] == holm([row["p"] for row in tested]).tolist()
+    assert all(row["least_p"] <= row["p_holm"] for row in tested)
 
 
 def test_a_window_changes_the_ranking(tmp_path):
@@ -96,22 +111,6 @@ def test_runs_of_a_task_by_success_and_by_return_are_ranked_by_themselves(tmp_pa
     assert best_text(rows).count(f"{TABLETOP}, deployed/") == 2
 
 
-def test_a_shorter_run_comes_last_and_is_not_compared(tmp_path):
-    rows = best([write_cells(tmp_path, good_short=GOOD, bad=BAD, close=CLOSE)])
-    assert [row["verdict"] for row in rows] == ["best", "below", "shorter"]
-    assert (rows[2]["steps"], rows[2]["score"]) == (10, pytest.approx(0.9))
-    assert rows[1]["p_holm"] == rows[1]["p"]  # one comparison
-
-
-def test_a_run_whose_score_is_nan_is_not_the_best(tmp_path):
-    path = write_cells(tmp_path, diverged=[math.nan, *GOOD], bad=BAD, good=GOOD)
-    rows = best([path])
-    assert [row["verdict"] for row in rows] == ["best", "below", "cannot tell"]
-    assert rows[1]["p_holm"] == rows[1]["p"], "a test without a p counts for nothing"
-    assert "cannot tell: a score is not finite" in best_text(rows)
-    assert best([path / "diverged"])[0]["verdict"] == "cannot tell"
-
-
 def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     few = best([write_cells(tmp_path, good=GOOD[:2], bad=BAD[:2], close=CLOSE[:2])])
     text = best_text(few)
@@ -126,19 +125,6 @@ def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     assert max(map(len, best_text(few, width=70).splitlines())) <= 70
     with pytest.raises(ValueError, match=r"top must lie in \[1, 2147483647\], not 0"):
         best_text(few, top=0)
-
-
-def test_the_smallest_adjusted_p_of_many_tests_is_at_most_1(tmp_path):
-    rows = best([write_cells(tmp_path, **{f"run{n}": [n / 10, n / 10 + 0.01] for n in range(5)})])
-    assert {row["least_p"] for row in rows[1:]} == {1.0}
-    assert "the smallest adjusted p of so many permutation tests is 1." in best_text(rows)
-
-
-def test_single_seeds_are_no_tests_of_the_family(tmp_path):
-    rows = best([write_cells(tmp_path, good=GOOD[:4], bad=BAD[:4], one=[0.5], two=[0.6])])
-    assert [row["verdict"] for row in rows] == ["best", "cannot tell", "cannot tell", "below"]
-    assert rows[3]["p_holm"] == rows[3]["least_p"] == pytest.approx(2 / math.comb(8, 4))
-    assert "None could be" not in best_text(rows)
 
 
 def test_tasks_are_ranked_apart_and_a_single_run_is_best(tmp_path):

@@ -58,7 +58,7 @@ def test_a_metric_smoothing_and_labels(sweep, drawn):
     figure = drawn(sweep / TABLETOP, names=names, metric="interventions", smooth=2)
     [axis] = figure.axes
     assert texts(figure) == ["no resets, 3 seeds", "there and back, 3 seeds"]
-    assert axis.get_ylabel() == "interventions"
+    assert (axis.get_ylabel(), axis.get_title()) == ("interventions", "")
     np.testing.assert_allclose(axis.lines[0].get_ydata(), [1.0, 1.5, 2.5])
     assert "trailing 2 evaluations" in caption(2)
     assert "No smoothing" in caption()
@@ -73,13 +73,6 @@ def test_lines_whose_styles_repeat_have_no_legend(sweep, drawn, monkeypatch):
     monkeypatch.setattr(plots, "COLOUR_COUNT", 1)
     with pytest.warns(RunWarning, match="a picture of more than 1 lines has no legend"):
         assert not drawn(sweep).legends
-
-
-def test_a_metric_called_deployed_is_not_the_score(tmp_path, drawn):
-    write_run(tmp_path, TABLETOP, "naive", rising(3, 3), metrics={**METRICS, "deployed": [7.0, 8.0, 9.0]})
-    [axis] = drawn(tmp_path, metric="deployed").axes
-    assert (axis.get_ylabel(), axis.get_title()) == ("deployed", "")
-    np.testing.assert_allclose(axis.lines[0].get_ydata(), [7.0, 8.0, 9.0])
 
 
 def test_runs_of_a_task_by_success_and_by_return_have_panels_of_their_own(tmp_path, drawn):

@@ -25,7 +25,8 @@ def write_three_evaluations(path, **options):
 def test_a_row_summarises_the_curves(tmp_path):
     folder = write_three_evaluations(tmp_path)
     [row] = tables.tabulate([folder])
-    expected = {"deployed": 0.55, "continuing": 0.01, "seeds": 2, "steps": 30, "steps_per_reward": 50}
+    expected = {"deployed": 0.55, "deployed_stderr": 0.05 / np.sqrt(2), "continuing": 0.01, "continuing_stderr": 0.0}
+    expected |= {"seeds": 2, "steps": 30, "steps_per_reward": 50}
     assert {name: row[name] for name in expected} == pytest.approx(expected)
     assert row["published_deployed"] == "0.32 (0.17)"
     assert row["steps_to_0.5"] is None
@@ -157,12 +158,6 @@ def test_steps_are_written_in_short_without_an_exponent():
 
 def test_signs_that_latex_prints_as_others_are_in_mathematics():
     assert r"$<$0.001 & a$|$b $>$ c\_d \\" in tables.Table(["p", "x"], [["<0.001", "a|b > c_d"]]).latex()
-
-
-def test_one_seed_has_no_standard_error(tmp_path):
-    rows = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", [[0.0, 0.5]], metrics=REWARDS)])
-    assert np.isnan([rows[0]["deployed_stderr"], rows[0]["continuing_stderr"]]).all()
-    assert "| 0.00000 | 0.012 (0.004) |" in tables.run_table(rows).text()
 
 
 def test_numbers_are_written_in_three_digits_or_without_a_fraction():
