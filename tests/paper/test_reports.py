@@ -37,6 +37,7 @@ TEXTS = {
         "| - | - | - | - | 200.0 | 0.0000 | - | 200.0 | - |",
     ],
     "table1": [
+        f"| method | {' | '.join(PAPER_TASKS)} |",
         "| naive | 0.500 (0.106) / 0.32 (0.17) / at 0.0008 % of the steps | - / 0.00 (0.00) / - |",
         "| -2700.00 (141.42) / -2705.21 (167.10) / at 0.0004 % of the steps |",
         "No run can be tested against the paper",
@@ -45,24 +46,15 @@ TEXTS = {
         INTERVAL_RULE,
         "- sawyer_door: 0.94 of vaprl is one lucky evaluation",
     ],
-    "table2": [
-        "In the published tables naive RL is the best on 2 of 6 (tabletop_organization, franka_kitchen), the best methods of "
-        "tables 1 and 2 differ on 4 of 6, and a pair of methods changes its order on 5 of 6.",
-        "In our runs naive RL is the best on 1 of 1 (tabletop_organization), the best methods of tables 1 and 2",
-        "changes its order on 1 of 1. The oracle is left out",
-    ],
     "figure2": [
-        "biased update | 1,000 and 100,000 | 400.0 [377.3, 422.7] | 1.04e-06 | 2.08e-06 | degrades | degrades | agrees |",
         "| 0.762 | 0.762 | cannot tell; 81.6 would be found | restored | agrees |",
         "| cheetah_run | 100,000 | 395.0 [341.3, 448.7] | ",
         "- cheetah_run, with the biased update: 2,000; 5,000; 10,000; 20,000; 200,000",
-        "- cheetah_run: 20 steps, one goal, temperature learnt from 1, reward scale 10",
-        "- fish_swim: 20 steps, another target every 1,000 steps",
     ],
     "tradeoff": [
         "| naive | epsilon | 5 to 300 | 0.000 to 0.420 | 0.935 | <0.001 | <0.001 | help |",
-        "| naive | budget | 6 to 15 | 0.000 to 0.200 | 0.943 | 0.057 | 0.057 | cannot tell; 0.99 would be found |",
-        "| naive | budget | 10 | 2 | 20 | 15.0 (0.0) | 0.200 (0.071) | 0.200 (0.071) | 0.50 |",
+        "| fbrl | budget | 10 | 2 | 20 | 15.0 (0.0) | 0.200 (0.071) | 0.200 (0.071) | 1.00 |",
+        "| sawyer_door | naive | epsilon | 5 to 6 | 0.100 to 0.200 | 1.000 | - | - | cannot tell: fewer than four seeds |",
     ],
 }
 ABSENT = {"table1": ["- minitaur_pen", "Two more claims"], "tradeoff": ["fbrl | epsilon | 5"], "figure5": ["\n\n\n"]}
@@ -140,17 +132,6 @@ def test_runs_of_a_task_by_success_and_by_return_have_columns_of_their_own_in_fi
     assert [axis.get_ylabel().partition(" ")[0] for axis in figure.axes[:2]] == ["Success", "Return"]
 
 
-def test_table_1_scores_a_method_by_the_score_of_its_run(files):
-    rows = {(row["env"], row["label"]): row for row in read_csv(files["table1"][0])}
-    assert list(dict.fromkeys(env for env, _ in rows)) == list(PAPER_TASKS)
-    naive = rows[TABLETOP, "naive"]
-    expected = {"mean": 0.5, "stderr": 0.15 / math.sqrt(2)}
-    assert {name: float(naive[name]) for name in expected} == pytest.approx(expected, abs=1e-4)
-    assert (naive["verdict"], naive["seeds"], naive["steps"], naive["low"]) == ("-", "2", "20", "nan")
-    assert rows[TABLETOP, "fbrl (reward_scale=1)"]["mean"] == "0.5"
-    assert rows[KITCHEN, "r3l"]["mean"] == ""
-
-
 def test_each_point_of_figure_2_has_the_final_returns_of_its_lanes(files):
     rows = {(row["env"], row["timeout_bootstrap"], row["train_horizon"]): row for row in read_csv(files["figure2"][0])}
     assert len(rows) == 6
@@ -212,17 +193,6 @@ def test_runs_that_do_not_belong_to_a_figure_are_refused(tmp_path, case):
         ARTEFACTS[name].report(write_runs(tmp_path, runs))
 
 
-def test_each_seed_of_the_trade_off_has_its_scores_at_the_last_step_that_its_line_has(files):
-    rows = {(row["algo"], row["kind"], row["value"], row["lane"]): row for row in read_csv(files["tradeoff"][0])}
-    assert len(rows) == 16
-    late, helped = rows["naive", "epsilon", "0.01", "1"], rows["naive", "budget", "10.0", "0"]
-    assert numbers(late, "interventions", "final", "deployed_area") == pytest.approx([300, 0.4, 0.4])
-    assert numbers(helped, "interventions", "final", "ended") == pytest.approx([15, 0.1, 1])
-    line = [row for name, row in rows.items() if name[:2] == ("naive", "epsilon")]
-    assert len({row["steps"] for row in line}) == 1
-    assert {row["final"] for row in line if row["value"] == "0.0"} == {"0.0"}  # its third evaluation comes later
-
-
 def test_the_trade_off_of_a_dense_reward_is_drawn_as_returns(tmp_path):
     """Their mean has Student's interval; Wilson's, which is for rates, is a warning and nan."""
     dense = {"env_options": {"reward_type": "dense"}}
@@ -235,17 +205,11 @@ def test_the_trade_off_of_a_dense_reward_is_drawn_as_returns(tmp_path):
     assert interval[:, 1] == pytest.approx(mean_interval(scores[0][:, 0])[1:])
 
 
-def test_the_trade_off_of_two_seeds_says_that_they_are_too_few(tmp_path):
-    runs = [(TABLETOP, "naive", constant(0.1 + n), lifetimes(5 + n, n / 100)) for n in range(2)]
-    findings = ARTEFACTS["tradeoff"].report(write_runs(tmp_path, runs)).parts["findings"]
-    assert findings.endswith("| cannot tell: fewer than four seeds |")
-
-
 DROPS = {
     "fbrl": ([1.0, 1.0], [0.5, 0.6], "larger"),
     "r3l": ([0.0, 0.0], [0.0, 0.1], "-"),
     "vaprl": ([1.0, 1.0], [1.0, 1.0], "smaller"),
-    "oracle": ([1.0, 0.8], [0.5, 0.5], "larger"),
+    "oracle": ([1.0, 0.8], [0.5, 0.6], "within"),
 }
 """Success from both kinds of starts and the verdict by method, in the paper's order."""
 
@@ -262,22 +226,18 @@ def test_drops_of_figure_4_are_compared_with_the_published_ones(tmp_path):
     assert list(methods) == list(DROPS)
     assert [row["verdict"] for row in methods.values()] == [verdict for *_, verdict in DROPS.values()]
     oracle = numbers(methods["oracle"], "initial", "uniform", "drop", "drop_low", "drop_high", "published_drop")
-    assert oracle == pytest.approx([0.9, 0.5, 4 / 9, 0.375, 0.5, 0.374])
+    assert oracle == pytest.approx([0.9, 0.55, 7 / 18, 0.25, 0.5, 0.374])
     assert [{name: str(value) for name, value in row.items()} for row in rows] == read_csv(seeds_file)
-    line = "| oracle | 2 | 0.900 | 0.500 | 44.4 [37.5, 50.0] | 37.4 % | larger |"
+    line = "| oracle | 2 | 0.900 | 0.550 | 38.9 [25.0, 50.0] | 37.4 % | within |"
     assert line in text_file.read_text()
     assert count_pixels(picture, COLOURS["fbrl"]) > 1000
-
-
-@pytest.mark.parametrize(("success", "verdict"), [(([1.0, 1.0], [0.5, 0.7]), "within"), (([1.0], [0.6]), "-")])
-def test_a_drop_within_the_interval_agrees_and_one_seed_has_no_verdict(success, verdict):
-    [row] = figure4.report_of(seed_rows("oracle", *success)).tables[""]
-    assert (row["verdict"], row["drop"]) == (verdict, pytest.approx(0.4))
 
 
 @pytest.mark.parametrize(("successes", "caps"), [([0.9, 0.8, 0.6], True), ([0.9, 0.8], False), ([0.9], False)])
 def test_figure_4_draws_no_interval_of_fewer_than_three_seeds(successes, caps):
     """A bar of two seeds used to have the caps of an interval without width."""
-    axis = figure4.report_of(seed_rows("fbrl", successes, successes)).figure.axes[0]
+    report = figure4.report_of(seed_rows("fbrl", successes, successes))
+    assert report.tables[""][0]["verdict"] == ("smaller" if len(successes) > 1 else "-")
+    axis = report.figure.axes[0]
     assert axis.lines
     assert all(math.isfinite(value) == caps for line in axis.lines for value in line.get_ydata())

@@ -14,11 +14,10 @@ def rewards(lifetime=0.0, **options):
     return {"metrics": {"continuing/reward": lifetime}, **options}
 
 
-def lifetimes(interventions, chance=0.0, budget=None, **helped):
-    """Return the options of a run with the counts at its end."""
-    counts = {f"help/{name}": helped.get(name, 0) for name in ("asked", "enforced", "over")} if budget else {}
-    setting = Deployment(intervention_chance=chance, budget=budget)
-    return {"setting": setting, **rewards(), "metrics": {"interventions": interventions, **counts}}
+def lifetimes(interventions, chance=0.0, **helped):
+    """Return the options of a run with the counts at its end, with a budget of 10 if it was `helped`."""
+    setting = Deployment(intervention_chance=chance, budget=10.0 if helped else None)
+    return {"setting": setting, "metrics": {"interventions": interventions, **helped}}
 
 
 RUNS = {
@@ -33,13 +32,6 @@ RUNS = {
         (TABLETOP, "fbrl", constant(0.5), rewards(reward_scale=1.0)),
         (DOOR, "oracle", constant(0.9, 1.0), rewards()),
     ],
-    "table2": [
-        (TABLETOP, "naive", constant(0.2), rewards(0.3)),
-        (TABLETOP, "fbrl", constant(0.9), rewards(0.1)),
-        (TABLETOP, "r3l", constant(0.8), rewards(0.2)),
-        (TABLETOP, "oracle", constant(1.0), rewards(1.0)),
-        (DOOR, "fbrl", constant(0.5), rewards(0.1)),
-    ],
     "figure2": [
         (CHEETAH, "naive", constant(500.0, 510.0, 520.0), {"env_options": SHORT, "timeout_bootstrap": True}),
         (CHEETAH, "naive", constant(100.0, 110.0, 120.0), {"env_options": LONG, "timeout_bootstrap": True}),
@@ -50,9 +42,10 @@ RUNS = {
     "tradeoff": [
         (TABLETOP, "naive", LATE, lifetimes(300, chance=0.01)),
         (TABLETOP, "naive", [[0.0, 0.0, 1.0]] * 5, lifetimes(5)),
-        (TABLETOP, "naive", constant(0.1, 0.3), lifetimes(5, budget=10.0, asked=6, enforced=4, over=[[0, 1], [0, 0]])),
-        (TABLETOP, "naive", constant(0.0, 0.0), lifetimes(5, budget=100.0, asked=1)),
         (TABLETOP, "fbrl", constant(0.1, 0.3), lifetimes(5, chance=0.01)),
+        (TABLETOP, "fbrl", constant(0.1, 0.3), lifetimes(5, **{"help/asked": 6, "help/enforced": 4, "help/over": 1})),
+        (DOOR, "naive", constant(0.1), lifetimes(5)),
+        (DOOR, "naive", constant(0.2), lifetimes(6, chance=0.01)),
     ],
 }
 """The runs of an artefact: task, method, scores [N, E] and options."""
