@@ -104,6 +104,13 @@ def test_an_interval_needs_three_seeds_and_a_band_has_no_width_where_seeds_agree
     assert np.isnan(band(curves[:2], rate=True).low).all()
 
 
+def test_an_interval_and_a_band_of_tiny_rates_that_differ_are_tiny():
+    rates = np.zeros(10)
+    rates[3] = 9e-6  # one seed earned twice in 220,000 steps
+    assert 9e-7 < mean_interval(rates, rate=True).high < 1e-4
+    assert 9e-7 < band(rates[:, None], rate=True).high.item() < 1e-4
+
+
 def test_a_band_has_no_ends_where_a_value_is_infinite():
     with warnings.catch_warnings(action="error"):
         mean, low, high = band(np.array([[1.0, math.inf], [2.0, 2.0], [3.0, 3.0]]))
