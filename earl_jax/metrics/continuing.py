@@ -13,6 +13,8 @@ from earl_jax.metrics.phase_stats import PhaseStats, init_phase_stats
 DIVERGED = "diverged"
 """The metric that is 1 in a lane with a loss or a parameter that is not finite, else 0."""
 
+OVER = "help/over"
+"""The metric that is 1 in a lane whose lifetime has ended with its budget, else 0."""
 HELP = ("asked", "enforced", "budget")
 """What a state of a `HelpBudget` has in its `info`."""
 
@@ -84,5 +86,5 @@ def continuing(
     }
     if env_state.info.keys() >= {*HELP}:
         metrics |= {f"help/{name}": env_state.info[name] for name in HELP}
-        metrics["help/over"] = env_state.done
+        metrics[OVER] = env_state.done
     return counters.replace(total_reward=total, window_reward=jnp.zeros_like(total)), metrics

@@ -11,6 +11,7 @@ import numpy as np
 
 from earl_jax.errors import InputError, brief, require_known
 from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.continuing import DIVERGED, OVER
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
 from earl_jax.metrics.statistics import namespace_of
@@ -19,7 +20,7 @@ from earl_jax.options.values import COUNT, counted, require
 SHARE, FEWEST = 0.1, 5
 """The score of a seed is its mean over the evaluations of this last share of a run, and over so many evaluations at least."""
 SUCCESS = "deployed/success"
-RATES = frozenset({SUCCESS, WIDE, FORWARD, BACK, ALIVE})
+RATES = frozenset({SUCCESS, WIDE, FORWARD, BACK, ALIVE, DIVERGED, OVER})
 """Metrics that are rates, from 0 to 1."""
 
 

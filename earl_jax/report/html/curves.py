@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.metrics.comparison import FEWEST_SEEDS
-from earl_jax.metrics.continuing import DIVERGED
+from earl_jax.metrics.continuing import DIVERGED, OVER
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.scores import RATES
@@ -69,12 +69,12 @@ PANELS = (
     Panel(STILL, "Object at rest", "steps since it last moved"),
     Panel("interventions", "Interventions", "since the first step"),
     Panel("reached", "Goals reached", "by the task controller", always=False),
-    Panel(DIVERGED, "Diverged", "seeds with a loss or parameter that is not finite", always=False),
+    Panel(DIVERGED, "Diverged", "share of seeds with a loss or parameter that is not finite", always=False),
     Panel("faults", "Faults", "resets after a broken simulation", always=False),
     Panel("help/asked", "Requested help", "since the first step"),
     Panel("help/enforced", "Enforced help", "in irreversible states", always=False),
     Panel("help/budget", "Remaining budget", "for interventions"),
-    Panel("help/over", "Lifetimes over", "share of seeds with a spent budget", always=False),
+    Panel(OVER, "Lifetimes over", "share of seeds with a spent budget", always=False),
 )
 SCORES = PANELS[:3]
 """The plots above the tables; the others are below."""

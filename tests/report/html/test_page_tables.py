@@ -65,6 +65,13 @@ def test_a_page_shows_wide_starts_and_the_life(tmp_path):
     assert back["lines"][0]["plain"]["mean"] == [None, None], "JSON has no nan"
 
 
+def test_shares_of_seeds_have_the_range_and_the_bands_of_rates(tmp_path):
+    run = write_page_run(tmp_path, "fbrl", rising(3, 2), extra_counts=("diverged", "help/over"))
+    plots = {plot["title"]: plot for plot in panels(read_lines(run))}
+    for title in ("Diverged", "Lifetimes over"):
+        assert plots[title]["range"] == [-0.04, 1.04]
+
+
 @pytest.mark.parametrize(("seeds", "evaluations", "drawn"), [(2, 7, 7), (3, POINTS + 50, POINTS)])
 def test_long_curves_are_thinned_with_both_ends_kept_and_a_band_needs_three_seeds(tmp_path, seeds, evaluations, drawn):
     [line] = panels(read_lines(write_page_run(tmp_path, "fbrl", rising(seeds, evaluations))))[0]["lines"]
