@@ -80,7 +80,7 @@ Image(plot_runs(folders, RUNS / "curves.png"), width=900)
 """
 ## The paper's tables
 
-The table has the last evaluation and the reward per step over the lifetime, beside the published values.
+The table has the score of each method and the reward per step over the lifetime, beside the published values.
 These runs are far from the paper's (small networks, a fraction of the steps), so do not compare the
 columns. They only show where published values appear.
 """
@@ -173,7 +173,7 @@ print(f"difference {gap.difference:+.4f} [{gap.low:+.4f}, {gap.high:+.4f}], p = 
 ## How many seeds?
 
 The interval narrows with the square root of the number of seeds. Resampling the present seeds to other
-numbers estimates the gain from more seeds like these. On a GPU fifty cost little more than five
+numbers estimates the gain from more seeds like these. On an H200 fifty take 3.5 times as long as five
 ([04](04_run_on_a_gpu.py)).
 """
 
