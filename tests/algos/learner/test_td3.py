@@ -1,4 +1,4 @@
-"""TD3 against updates by hand, and on a problem of known value."""
+"""TD3 against updates by hand."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ import pytest
 from earl_jax.algos import make_algo
 from earl_jax.algos.learner.td3 import TD3
 from earl_jax.runs.config import method_options
-from tests.algos.learner.conftest import CHAIN_STATES, ROWS, SIZE, learnt
+from tests.algos.learner.conftest import ROWS, SIZE
 from tests.conftest import CHUNK, advance, assert_equal_trees, make_train_state, tiny_method
 
 SMALL = TD3(hidden_sizes=(16,), reward_scale=2.0)
@@ -88,18 +88,12 @@ def test_the_life_is_noisy_within_the_bounds_and_the_evaluation_is_not(agent, ba
     obs = 0.2 * batch.obs  # for actions far from the bounds
     greedy = np.asarray(SMALL.greedy(agent.actor, obs))
     np.testing.assert_allclose(greedy, np.tanh(network(agent.actor, obs)), rtol=1e-4)
-    acted = jax.vmap(lambda key: SMALL.act(key, agent.actor, obs))(jax.random.split(jax.random.key(5), 4000))
+    keys = jax.random.split(jax.random.key(5), 4000)
+    acted = jax.vmap(lambda key: SMALL.act(key, agent.actor, obs))(keys)
     np.testing.assert_allclose((acted - greedy).std(axis=0), 0.1, atol=0.01)
+    lowest = value(agent.critics, obs, acted[0]).min(axis=0)
+    np.testing.assert_allclose(SMALL.value(keys[0], agent, obs), lowest, rtol=1e-4, atol=1e-5)
     assert (np.abs(SMALL.replace(exploration_noise=5.0).act(jax.random.key(6), agent.actor, batch.obs)) <= 1).all()
-
-
-def test_td3_solves_a_chain_of_known_value(chain):
-    learner = TD3(hidden_sizes=(32, 32), reward_scale=1.0, learning_rate=3e-3, target_rate=0.02, discount=0.9)
-    agent = learnt(learner, init(learner, jax.random.key(0), 2, 1), chain)
-    best = learner.greedy(agent.actor, CHAIN_STATES)
-    assert (best > 0.1).all()
-    np.testing.assert_allclose(learner.q_values(agent.critics, CHAIN_STATES, best).mean(axis=0), [0.9, 1.0], atol=0.1)
-    np.testing.assert_allclose(learner.value(jax.random.key(1), agent, CHAIN_STATES), [0.9, 1.0], atol=0.15)
 
 
 def test_a_method_takes_another_learner_by_name_and_keeps_what_it_presets_for_all():
