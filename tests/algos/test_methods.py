@@ -13,7 +13,6 @@ from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.replay import unpack
 from earl_jax.algos.method import RETURN, TASK, Moment, controller_count
 from earl_jax.training import loop
-from earl_jax.training.demos import demo_rows
 from tests.algos.lives import OPTIONS, lived
 from tests.algos.transitions import make_batch
 from tests.conftest import (
@@ -50,11 +49,13 @@ def next_goals(method, goals, phase, method_state=()):
     return jax.jit(jax.vmap(lambda key: method.next_goal(key, goals, jnp.asarray(phase), CURRENT, method_state)))(KEYS)
 
 
-def test_the_registry_lists_the_methods_and_refuses_what_is_no_learner():
+def test_the_registry_lists_the_methods_and_refuses_a_third_controller_and_what_is_no_learner():
     assert own_algos() == list(METHODS)
     for learner, given in ((SAC, r"<class .*SAC'>; did you mean SAC\(\)\?"), (3, "3")):
         with pytest.raises(ValueError, match=f"the learner must be a name or an object of Learner, not {given}"):
             make_algo("naive", learner=learner)
+    with pytest.raises(ValueError, match=r"controllers must lie in \[1, 2\], not 3"):
+        make_algo("fbrl", controllers=3)
     with pytest.raises(ValueError, match="the task must be an object of Env, not 'sawyer_door'"):
         method_for("sawyer_door", "naive")  # pyright: ignore[reportArgumentType]
 
@@ -136,16 +137,6 @@ def test_naive_by_the_global_clock_times_out_at_multiples_of_its_episode_length(
     state = run_whole(problem, method, state.replace(lanes=lanes), 16, warmup=True)
     timeouts = np.asarray(unpack(state.replay.flags[first : first + 16]).timeout)
     np.testing.assert_array_equal(timeouts, np.tile(np.arange(1, 17)[:, None] % 8 == 0, 2))
-
-
-def test_fbrl_has_one_controller_on_request(problem):
-    method = tiny_method("fbrl", controllers=1)
-    assert demo_rows(problem, method).sampleable(0).size == demo_rows(problem, tiny_method("vaprl")).rows.size
-    state = jax.eval_shape(lambda: make_train_state(problem, method, [0, 1]))
-    assert {leaf.shape[:2] for leaf in jax.tree.leaves(state.lanes.agent.actor)} == {(2, 1)}
-    assert (next_goals(method, goal_table(problem.env), RETURN).goal == 4).all()
-    with pytest.raises(ValueError, match=r"controllers must lie in \[1, 2\], not 3"):
-        make_algo("fbrl", controllers=3)
 
 
 def test_rnd_reward_and_scale_are_the_released_formulas(env):

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flax import struct
 
 from earl_jax.algos import make_algo
 from earl_jax.algos.fbrl import FBRL
@@ -48,7 +47,6 @@ def test_a_phase_that_the_method_ends_is_stored_as_a_time_out(problem):
     class Impatient(FBRL):
         """Leaves every phase after five steps."""
 
-        controllers: int = struct.field(pytree_node=False, default=2)
         name = "impatient"
 
         def ends_phase(self, key, env, agent, obs, moment, method_state):

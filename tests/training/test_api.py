@@ -161,11 +161,8 @@ def test_the_method_of_a_result_trains_again_under_the_options_that_it_had(tmp_p
 def test_a_folder_of_the_user_is_expanded_where_no_shell_does(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert (
-        tiny_train("naive", out="~/a run").folder.path
-        == earl_jax.load("~/a run").folder.path
-        == tmp_path / "home/a run"
-    )
+    result = tiny_train("naive", out="~/a run")
+    assert result.folder.path == earl_jax.load("~/a run").folder.path == tmp_path / "home/a run"
     assert run("table", "~/a run", "--out=~/table.md")[0] == 0
     assert not (tmp_path / "~").exists()
     assert (tmp_path / "home" / "table.md").exists()

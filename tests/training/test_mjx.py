@@ -33,8 +33,10 @@ def trained(env):
     return first, run_whole(problem, method, first, STEPS)
 
 
-def assert_learns(first, last):
-    """Check that the last state is finite, that its actors have learnt, and that every step was stored."""
+@pytest.mark.parametrize("task", ["pendulum", pytest.param("sawyer_door", marks=pytest.mark.slow)])
+def test_fbrl_learns_in_one_scan_with_mjx(pendulum, task):
+    """The last state is finite, its actors have learnt, and every step was stored."""
+    first, last = trained(pendulum if task == "pendulum" else make(task, engine="mjx"))
     assert_all_finite((last.replay, last.lanes.agent, last.lanes.counters))
     moved = jax.tree.map(lambda a, b: np.abs(a - b).max(), first.lanes.agent.actor, last.lanes.agent.actor)
     assert min(jax.tree.leaves(moved)) > 1e-5
@@ -42,10 +44,6 @@ def assert_learns(first, last):
     assert np.asarray(last.lanes.counters.faults).tolist() == [0, 0]
     stored = np.asarray(last.replay.state[int(last.replay.row) - STEPS : int(last.replay.row)])
     assert np.abs(np.diff(stored, axis=0)).max(axis=(0, 2)).min() > 1e-3, "the simulation moves"
-
-
-def test_fbrl_learns_in_one_scan_with_mjx(pendulum):
-    assert_learns(*trained(pendulum))
 
 
 def test_a_step_on_mjx_calls_nothing_outside_the_program(pendulum):
@@ -62,11 +60,6 @@ def test_training_agrees_with_the_engine_that_auto_takes_and_names_it(pendulum, 
     assert "physics engine: c, which auto takes for 2 lanes on this cpu machine\n" in capfd.readouterr().err
     assert json.loads((tmp_path / "run" / "config.json").read_text())["engine"] == "c"
     np.testing.assert_allclose(trained(pendulum)[1].replay.state, result.train_state.replay.state, atol=1e-3)
-
-
-@pytest.mark.slow
-def test_fbrl_learns_in_one_scan_with_the_sawyer_door_on_mjx():
-    assert_learns(*trained(make("sawyer_door", engine="mjx")))
 
 
 def test_python_traces_mjx_once_for_all_programs(pendulum, monkeypatch):

@@ -9,6 +9,7 @@ from unittest.mock import Mock
 
 import jax
 import pytest
+from jax._src import lru_cache
 
 from earl_jax.training import program_cache
 from tests.conftest import CACHE, TESTS
@@ -45,19 +46,6 @@ def test_a_second_process_compiles_only_what_a_kill_truncated(tmp_path):
     assert truncated.stat().st_size > len(whole) // 2, "it is stored anew"
 
 
-class Files:
-    """The files of jax's cache."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def get(self, key):
-        return (self.path / f"{key}-cache").read_bytes()
-
-    def put(self, key, value):
-        (self.path / f"{key}-cache").write_bytes(value)
-
-
 @pytest.mark.parametrize(
     "damage",
     [
@@ -68,7 +56,8 @@ class Files:
     ],
 )
 def test_a_damaged_program_is_removed(tmp_path, damage):
-    cache, entry = program_cache.checked(Files)(tmp_path), tmp_path / "key-cache"
+    cache = program_cache.checked(lru_cache.LRUCache)(str(tmp_path), max_size=-1)
+    entry = tmp_path / "key-cache"
     cache.put("key", bytes(range(200)))
     assert cache.get("key") == bytes(range(200))
     entry.write_bytes(damage(entry.read_bytes()))
