@@ -176,10 +176,6 @@ class Method(OptionsNode):
         return method_state
 
 
-FUNCTIONS = frozenset({"init", "pretrain", "act", "ends_phase", "next_goal", "prepare", "learn", "refresh"})
-"""The functions of a method that the training loop calls."""
-
-
 def check_method(method: Method) -> None:
     """Raise an InputError if the learner or the phases of `method` are none, or an option of either is invalid or unused."""
     learner, phases = method.learner, method.phases

@@ -41,10 +41,6 @@ class Rules(NamedTuple):
         """Return whether a hard intervention follows step number `step`, counted from 1, bool []."""
         return _every(step, self.horizon) | (jax.random.uniform(key) < self.chance)
 
-    def goal_changes(self, step: jax.Array) -> jax.Array:
-        """Return whether the environment sets another goal after step number `step`, counted from 1, bool []."""
-        return _every(step, self.goal_change)
-
 
 class Attempt(NamedTuple):
     """The agent's attempt at a goal at the start of a step, an argument of `advance_rules`.
@@ -94,7 +90,7 @@ def advance_rules(
     success = env.sparse & env.success(env_state.obs) & ~fault & (env_state.done == 0)
     reached = success & attempt.ends_on_success
     intervened = rules.intervened(step, key) | fault
-    goal_changes = rules.goal_changes(step)
+    goal_changes = _every(step, rules.goal_change)
     task_restarts = intervened | (goal_changes & attempt.is_task)
     expired = attempt.expires | task_restarts
     phase_ended = reached | expired
@@ -131,7 +127,7 @@ def count_step(
         window_reward=counters.window_reward + jnp.where(end.fault, 0.0, earned),
         interventions=counters.interventions + end.env_reset,
         faults=counters.faults + end.fault,
-        reached=counters.reached + (phases.reached - counters.phases.reached)[0],
+        reached=phases.reached[0],
         phases=phases,
     )
 

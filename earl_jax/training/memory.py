@@ -149,18 +149,13 @@ def require(needed: MemoryEstimate, mesh: Mesh | None = None) -> None:
         return
     have, each = ("the device has", "") if count == 1 else (f"{count} devices have", " each")
     fitting = counted(free // needed.lane * count, "lane")
-    raise InputError(f"{needed}, but {have} {free / GIGABYTE:.3g} GB{each} free: {fitting} would fit. {_remedy()}")
-
-
-def _remedy() -> str:
-    """Return what to do about a program that does not fit."""
-    programs = programs_per_device()
-    if programs > 1:
-        return (
-            f"This is the share of one of {programs} programs; use --per-device {programs // 2} or another smaller "
-            "number, a smaller --max-lanes, or fewer seeds or steps"
-        )
-    return (
+    remedy = (
         f"Use fewer seeds or steps, more devices, a larger limit of this job's or container's memory, "
         f"or on a GPU a larger {FRACTION}, such as 0.95"
     )
+    if (programs := programs_per_device()) > 1:
+        remedy = (
+            f"This is the share of one of {programs} programs; use --per-device {programs // 2} or another smaller "
+            "number, a smaller --max-lanes, or fewer seeds or steps"
+        )
+    raise InputError(f"{needed}, but {have} {free / GIGABYTE:.3g} GB{each} free: {fitting} would fit. {remedy}")

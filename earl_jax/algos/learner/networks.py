@@ -64,19 +64,15 @@ def apply(params: Any, x: jax.Array, precision: str = "tf32") -> jax.Array:
     Matrix products by `precision`: "float32" is float32 on every device; "tf32" is XLA's default (TF32 on NVIDIA GPUs,
     float32 on CPUs); "bf16" has bfloat16 operands and activations and float32 sums.
     """
-    network = _network(params["params"])
-    if precision == "bf16":
-        rows = x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
-        return bf16.apply(network, params["params"], rows).reshape(*x.shape[:-1], network.layer_sizes[-1])
-    with jax.default_matmul_precision("highest") if precision == "float32" else contextlib.nullcontext():
-        return jnp.asarray(network.apply(params, x))
-
-
-def _network(layers: dict[str, Any]) -> MLP:
-    """Return the network whose parameters are `layers`."""
+    layers = params["params"]
     count = sum(name.startswith("hidden") for name in layers)
     sizes = tuple(layers[f"hidden_{number}"]["bias"].shape[-1] for number in range(count))
-    return MLP(sizes, layer_norm=len(layers) > count)
+    network = MLP(sizes, layer_norm=len(layers) > count)
+    if precision == "bf16":
+        rows = x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
+        return bf16.apply(network, layers, rows).reshape(*x.shape[:-1], sizes[-1])
+    with jax.default_matmul_precision("highest") if precision == "float32" else contextlib.nullcontext():
+        return jnp.asarray(network.apply(params, x))
 
 
 def q_values(critics: Any, obs: jax.Array, action: jax.Array, precision: str = "tf32") -> jax.Array:
@@ -87,13 +83,14 @@ def q_values(critics: Any, obs: jax.Array, action: jax.Array, precision: str = "
     return jax.vmap(lambda critic, x: apply(critic, x, precision), (0, axis))(critics, pair)[..., 0]
 
 
-def sample_normal(parameters: jax.Array, key: jax.Array) -> jax.Array:
-    """Return actions [..., a] before squashing, reparametrised.
+def sample_tanh_normal(parameters: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return squashed actions [..., a], reparametrised, and their log-densities [...].
 
     `parameters [..., 2a]` are the means, then the log standard deviations before clipping, as in the paper.
     """
     mean, std = _moments(parameters)
-    return jax.random.normal(key, mean.shape) * std + mean
+    raw = jax.random.normal(key, mean.shape) * std + mean
+    return jnp.tanh(raw), tanh_log_prob(parameters, raw)
 
 
 def mode(parameters: jax.Array) -> jax.Array:

@@ -96,7 +96,7 @@ class SAC(Learner):
         return Agent(actor, critics, jax.tree.map(jnp.copy, critics), log_temperature, moments, averaged)
 
     def act(self, key: jax.Array, actor: Any, obs: jax.Array) -> jax.Array:
-        return jnp.tanh(networks.sample_normal(self.policy(actor, obs), key))
+        return self.act_with_log_prob(key, actor, obs)[0]
 
     def greedy(self, actor: Any, obs: jax.Array) -> jax.Array:
         return networks.mode(self.policy(actor, obs))
@@ -131,7 +131,7 @@ class SAC(Learner):
 
     def act_with_log_prob(self, key: jax.Array, actor: Any, obs: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return reparametrised actions [..., a] and their log-probabilities [...] (appendix C of the SAC paper)."""
-        return _sample(self.policy(actor, obs), key)
+        return networks.sample_tanh_normal(self.policy(actor, obs), key)
 
     def td_target(self, key: jax.Array, agent: Agent, batch: Batch) -> jax.Array:
         """Return the regression targets [K, B]: `scale r + (1 - terminal) gamma (min Q'(s', a') - alpha log pi(a'|s'))`.
@@ -210,7 +210,7 @@ class SAC(Learner):
 
         def loss(actor):
             parameters = self.policy(actor, batch.obs)
-            action, log_prob = _sample(parameters, key)
+            action, log_prob = networks.sample_tanh_normal(parameters, key)
             values = self.q_values(soft, batch.obs, action)
             value = values.min(axis=0) if self.ensemble == SOFT_CRITICS else values.mean(axis=0)
             total = (temperature * log_prob - value).mean()
@@ -235,12 +235,6 @@ class SAC(Learner):
 
     def _update_targets(self, agent: Agent) -> Agent:
         return agent.replace(targets=follow(agent.targets, agent.critics, self.target_rate))
-
-
-def _sample(parameters: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return actions [..., a] and log-probabilities [...] of the policy's `parameters [..., 2a]`."""
-    raw = networks.sample_normal(parameters, key)
-    return jnp.tanh(raw), networks.tanh_log_prob(parameters, raw)
 
 
 def _pair_min(values: jax.Array) -> jax.Array:
