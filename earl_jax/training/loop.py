@@ -25,7 +25,7 @@ from earl_jax.algos.method import (
     of_phase,
     select_controller,
 )
-from earl_jax.envs import Map, State
+from earl_jax.envs import State
 from earl_jax.envs.checks import require_result
 from earl_jax.envs.state import tree_where
 from earl_jax.errors import InputError
@@ -33,7 +33,7 @@ from earl_jax.physics import PendingStep
 from earl_jax.protocol import Attempt, StepEnd, advance_rules, count_step, reset_where
 from earl_jax.training.demos import demo_rows
 from earl_jax.training.ordering import before_update, in_step_with_host, one_controller, read_before_write
-from earl_jax.training.state import MAP_BINS, LaneState, Problem, StepKeys, TrainState, Warmup
+from earl_jax.training.state import LaneState, Problem, StepKeys, TrainState, Warmup, count_visit
 
 
 class Started(NamedTuple):
@@ -214,7 +214,7 @@ def finish_step(
         phase_step=jnp.where(end.phase_ended, 0, lane.phase_step + 1),
         goal_indices=goal_indices,
         counters=count_step(lane.counters, env, env_state, attempt, end, earned, step + 1),
-        visits=_count_visit(env.map, lane.visits, env_state.obs) if env.map and lane.visits is not None else None,
+        visits=count_visit(env, lane, env_state.obs),
     )
     return moved, transition, _is_sampleable(method, lane, end)
 
@@ -274,14 +274,6 @@ def _next_goals(
     fresh = method.next_goal(key, goals, phase, current, lane.method_state)
     goal_indices = tree_where(end.phase_ended, fresh, lane.goal_indices)
     return goal_indices._replace(task=jnp.where(env_sets, requested, goal_indices.task))
-
-
-def _count_visit(task_map: Map, visits: jax.Array, obs: jax.Array) -> jax.Array:
-    """Return `visits` with the position in `obs [o]`, unless a fault has left none."""
-    low, high = task_map.bounds
-    bins = jnp.floor((task_map.position(obs) - low) / (high - low) * MAP_BINS)
-    x, y = jnp.where(jnp.isfinite(bins), jnp.clip(bins, 0, MAP_BINS - 1), MAP_BINS).astype(jnp.int32)
-    return visits.at[x, y].add(1, mode="drop")
 
 
 def _moment(lane: LaneState, step: jax.Array) -> Moment:

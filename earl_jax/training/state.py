@@ -45,6 +45,17 @@ class LaneState(struct.PyTreeNode):
     __repr__ = struct_text
 
 
+def count_visit(env: Env, lane: LaneState, obs: jax.Array) -> jax.Array | None:
+    """Return the visits of `lane` with the position in `obs [o]`, unless a fault has left none or the lifetime has ended."""
+    if env.map is None or lane.visits is None:
+        return None
+    low, high = env.map.bounds
+    bins = jnp.floor((env.map.position(obs) - low) / (high - low) * MAP_BINS)
+    x, y = jnp.where(jnp.isfinite(bins), jnp.clip(bins, 0, MAP_BINS - 1), MAP_BINS).astype(jnp.int32)
+    visits = lane.visits.at[x, y].add(1, mode="drop")
+    return jnp.where(lane.env_state.done > 0, lane.visits, visits) if env.has_absorbing_state else visits
+
+
 class TrainState(struct.PyTreeNode):
     """All lanes (leading axis N), their replay, and the number of steps that each has taken."""
 

@@ -77,6 +77,7 @@ def test_the_step_into_the_absorbing_end_is_stored_with_its_reward(problem):
     listed = np.asarray(state.replay.counts[:, 0] - state.replay.demos[0])
     assert listed.tolist() == [1, 1]
     assert np.asarray(state.lanes.counters.window_reward).tolist() == [-6.0, -6.0]
+    assert state.lanes.visits.sum(axis=(1, 2)).tolist() == [1, 1]
 
 
 def test_the_map_counts_every_step_with_a_position(problem):
