@@ -14,7 +14,7 @@ RANGE = ("0.30", "0.80")
 """From the worst to the best score of two seeds: pairs of five on one machine, at any end from 160,000 steps on, and two on
 another (0.39 to 0.76), rounded outwards; docs/results.md has the numbers."""
 EXPECTED = """\
-Expect a score of {low} to {high} after two to six minutes on two free CPU
+Expect a score of {low} to {high} after two to seven minutes on two free CPU
 cores. The result depends on the machine, because its rounding decides which of many courses two seeds take.
 """
 
