@@ -90,17 +90,24 @@ def train(
     limit = TimeLimit.of(minutes)
     task, rules, options = split_options(env, {**options, "setting": setting})
     task = with_engine(task, engine)
-    if options and not isinstance(algo, str):
-        raise InputError(
-            f"options {', '.join(options)} go with a method's name; this method is an object: use .replace(...)"
-        )
-    method = method_for(task, algo, **options) if isinstance(algo, str) else algo
+    method = _method_of(task, algo, options)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
     run = Run.resolve(RunConfig.from_objects(task, method, rules, seed_list(seeds), schedule), task, method, rules)
     plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)
+
+
+def _method_of(env: Env, algo: str | Method, options: dict[str, Any]) -> Method:
+    """Return the method named `algo` on `env` with its `options`, or an object, which takes none. Errors as `train`."""
+    if isinstance(algo, str):
+        return method_for(env, algo, **options)
+    if options:
+        raise InputError(
+            f"options {', '.join(options)} go with a method's name; this method is an object: use .replace(...)"
+        )
+    return algo
 
 
 @package_types()

@@ -88,15 +88,20 @@ def evaluate(
     require("episodes", episodes, EPISODES)
     run = RunFolder.open(Path(folder))
     env = with_engine(run.config.build_task(), engine)
-    start = start_of(env, starts)
-    if pairs is None:
-        pairs = run.config.build_setting().eval_pairs if starts == STARTS[0] else EVAL_PAIRS[0]
-    require_known("pairs", pairs, EVAL_PAIRS)
-    if starts != STARTS[0] and pairs != EVAL_PAIRS[0]:
-        raise InputError(f"{pairs} pairs are those of the task's own starts, not of {starts} ones")
+    start, pairs = start_of(env, starts), _pairs_of(run, starts, pairs)
     policies = load_policies(run)
 
     def evaluate_policy(policy):
         return deployed(env, policy, jax.random.key(seed), env.eval_horizon, episodes, start, pairs=pairs)
 
     return {name: np.asarray(values) for name, values in jax.jit(jax.vmap(evaluate_policy))(policies).items()}
+
+
+def _pairs_of(run: RunFolder, starts: str, pairs: str | None) -> str:
+    """Return how an evaluation of `run` draws pairs of start and goal; raise a ValueError if `pairs` is unknown or impossible."""
+    if pairs is None:
+        return run.config.build_setting().eval_pairs if starts == STARTS[0] else EVAL_PAIRS[0]
+    require_known("pairs", pairs, EVAL_PAIRS)
+    if starts != STARTS[0] and pairs != EVAL_PAIRS[0]:
+        raise InputError(f"{pairs} pairs are those of the task's own starts, not of {starts} ones")
+    return pairs

@@ -39,6 +39,19 @@ def lifetime(
     require_object("problem", problem, Problem, or_name=False)
     require_object("method", method, Method, or_name=False)
     check_method(method)
+    steps = _static_steps(problem, steps)
+    if jax.random.key_data(keys).ndim != 2:
+        raise InputError("keys must have one axis, a key for each seed: jax.random.split(key, number)")
+    lanes, every = keys.shape[0], problem.protocol.eval_every
+    method = per_lane(method, lanes)
+    plan = prepare(problem, method, lanes, steps)
+    state = init_train_state(problem, method, keys, steps)
+    state, metrics = jax.lax.scan(functools.partial(_window, plan, method), state, jnp.arange(steps // every))
+    return state, jax.tree.map(jnp.transpose, metrics)
+
+
+def _static_steps(problem: Problem, steps: int | None) -> int:
+    """Return `steps`, by default those of `problem`. Errors as `lifetime`."""
     steps = problem.steps if steps is None else steps
     if steps is None:
         raise InputError("a lifetime needs a number of steps: Problem(env, protocol, steps=...)")
@@ -48,14 +61,7 @@ def lifetime(
             'jax.jit(lifetime, static_argnames="steps")'
         )
     require("steps", steps, COUNT)
-    if jax.random.key_data(keys).ndim != 2:
-        raise InputError("keys must have one axis, a key for each seed: jax.random.split(key, number)")
-    lanes, every = keys.shape[0], problem.protocol.eval_every
-    method = per_lane(method, lanes)
-    plan = prepare(problem, method, lanes, steps)
-    state = init_train_state(problem, method, keys, steps)
-    state, metrics = jax.lax.scan(functools.partial(_window, plan, method), state, jnp.arange(steps // every))
-    return state, jax.tree.map(jnp.transpose, metrics)
+    return steps
 
 
 def _window(
