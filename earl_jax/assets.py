@@ -225,13 +225,18 @@ def published(table: str) -> list[dict[str, str]]:
     Raises:
         ValueError: there is no such table; the message lists the choices.
     """
+    return [dict(row) for row in _read_published(table)]
+
+
+@functools.cache
+def _read_published(table: str) -> list[dict[str, str]]:
     with _file("published", table, ".csv").open(newline="") as handle:
         return list(csv.DictReader(handle))
 
 
 def published_row(table: str, **where: str) -> dict[str, str]:
     """Return the first row of a published table with the values `where` by column, or {} without such a row."""
-    return next((row for row in published(table) if where.items() <= row.items()), {})
+    return next((dict(row) for row in _read_published(table) if where.items() <= row.items()), {})
 
 
 def released_runs(task: str, method: str) -> dict[str, np.ndarray]:
