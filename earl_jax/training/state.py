@@ -51,9 +51,9 @@ def count_visit(env: Env, lane: LaneState, obs: jax.Array) -> jax.Array | None:
         return None
     low, high = env.map.bounds
     bins = jnp.floor((env.map.position(obs) - low) / (high - low) * MAP_BINS)
-    x, y = jnp.where(jnp.isfinite(bins), jnp.clip(bins, 0, MAP_BINS - 1), MAP_BINS).astype(jnp.int32)
-    visits = lane.visits.at[x, y].add(1, mode="drop")
-    return jnp.where(lane.env_state.done > 0, lane.visits, visits) if env.has_absorbing_state else visits
+    counted = jnp.isfinite(bins) & ~(lane.env_state.done > 0)
+    x, y = jnp.where(counted, jnp.clip(bins, 0, MAP_BINS - 1), MAP_BINS).astype(jnp.int32)
+    return lane.visits.at[x, y].add(1, mode="drop")
 
 
 class TrainState(struct.PyTreeNode):
