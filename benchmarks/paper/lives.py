@@ -98,7 +98,7 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
     *(
         (run, name, measure)
-        for run in ("franka_kitchen/naive", KITCHEN_FBRL, "franka_kitchen/fbrl/mean_return")
+        for run in ("franka_kitchen/naive/replay_capacity_None", KITCHEN_FBRL, "franka_kitchen/fbrl/mean_return")
         for name, measure in (
             ("reward per step of the 20,000 after a reset", functools.partial(beside_reset, end=LONG)),
             ("reward per step of the 20,000 before a reset", functools.partial(beside_reset, end=0)),
@@ -107,6 +107,7 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ),
     ("tabletop_organization/r3l", "steps from deployed to lived success", lag),
     ("tabletop_organization/r3l/error_scale", "reward per step", reward),
+    ("tabletop_organization/r3l/object_novelty", "reward per step", reward),
     ("tabletop_organization/r3l/perturbation_demos", "reward per step", reward),
     ("tabletop_organization/r3l/timeout_bootstrap", "reward per step", reward),
 )

@@ -46,12 +46,12 @@ KITCHEN_ORACLE = f"{KITCHEN}/oracle/{ALL_KEPT}"
 """The kitchen's oracle with the replay of its variants."""
 RELEASED_REPLAY = "replay_capacity_1000000"
 """The variant with the released replay of a cell whose replay keeps all transitions."""
-DENSE_AGAIN = f"{KITCHEN}/fbrl", f"{KITCHEN}/r3l", f"{KITCHEN}/oracle", f"{LIGHTBULB}/oracle"
+DENSE_AGAIN = *(f"{KITCHEN}/{algo}" for algo in ("naive", "fbrl", "r3l", "oracle")), f"{LIGHTBULB}/oracle"
 RUN_AGAIN = TABLETOP, DOOR, PEG, *DENSE_AGAIN
 """Tasks and cells that have the released replay, which is the default since 2026-11-27."""
 KEEP_ALL = (
     *(f"{MINITAUR}/{algo}" for algo in ("naive", "fbrl", "r3l", "oracle")),
-    f"{KITCHEN}/naive", *(f"{LIGHTBULB}/{algo}" for algo in ("naive", "fbrl", "r3l")),
+    *(f"{LIGHTBULB}/{algo}" for algo in ("naive", "fbrl", "r3l")),
 )  # fmt: skip
 """Cells that keep all transitions, and of which a variant has the released replay."""
 SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
@@ -96,8 +96,8 @@ AGAIN = {
     cell: f"{cell}/commit_{commit}"
     for cell, commit in (
         (f"{TABLETOP}/naive", "ed7009a"), (f"{TABLETOP}/vaprl", "ed7009a"), (f"{DOOR}/r3l", "24b5aba"),
-        (f"{KITCHEN}/naive", "87f9604"), (f"{KITCHEN}/fbrl", "c7e2d9e"), (f"{KITCHEN}/r3l", "c7e2d9e"),
-        (f"{KITCHEN}/oracle", "3591157"), (KITCHEN_ORACLE, "87f9604"),
+        (f"{KITCHEN}/naive", "3591157"), (f"{KITCHEN}/naive/{ALL_KEPT}", "87f9604"), (f"{KITCHEN}/fbrl", "c7e2d9e"),
+        (f"{KITCHEN}/r3l", "c7e2d9e"), (f"{KITCHEN}/oracle", "3591157"), (KITCHEN_ORACLE, "87f9604"),
         (f"{KITCHEN}/oracle/reward_scale_0.1", "fbeb891"),
     )
 }  # fmt: skip
@@ -143,9 +143,12 @@ DIFFERENCES = (
         Pair((_all_kept(f"{DOOR}/naive"),), (f"{DOOR}/naive/episode_400-random_10000",)),
         *_replays(f"{DOOR}/naive"), Pair((_all_kept(f"{DOOR}/naive"),), PUBLISHED),
     )),
-    Difference("12", "R3L's life on tabletop: terminal time-outs; the novelty's scale; no demonstrations to perturb with", tuple(
-        Pair((_all_kept(f"{TABLETOP}/r3l"),), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
-        for names in (("timeout_bootstrap",), ("error_scale", "error_scale-seeds_5_to_9"), ("perturbation_demos",))
+    Difference("12", "R3L's life on tabletop: terminal time-outs; the novelty, its scale; no demonstrations to perturb with", (
+        *(
+            Pair((_all_kept(f"{TABLETOP}/r3l"),), tuple(f"{TABLETOP}/r3l/{name}" for name in names), CONTINUING)
+            for names in (("timeout_bootstrap",), _ten_seeds("error_scale"), ("perturbation_demos",))
+        ),
+        Pair((f"{TABLETOP}/r3l",), (f"{TABLETOP}/r3l/object_novelty",), CONTINUING),
     )),
     Difference("13", "the kitchen's life: weight; reward; random steps; float32; entropy; backward goal; updates; ends", (
         *(
@@ -221,7 +224,7 @@ DIFFERENCES = (
         for pair in _released_replay(f"{env}/{algo}")
     ), *(
         pair for cell in KEEP_ALL for pair in _both_scores((cell,), (f"{cell}/{RELEASED_REPLAY}",))
-    ), *_both_scores((f"{KITCHEN}/naive/{RELEASED_REPLAY}",), PUBLISHED), *(
+    ), *(
         pair for cell in DENSE_AGAIN for pair in _both_scores((_all_kept(cell),), (cell,))
     ))),
     Difference("20", "FBRL on the door on engine mjx", _both_scores((f"{DOOR}/fbrl",), (f"{DOOR}/fbrl/mjx",))),
