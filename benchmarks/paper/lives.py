@@ -14,8 +14,6 @@ from benchmarks.output import write_files
 from benchmarks.paper.cells import RUNS
 from earl_jax.envs.kitchen.franka_kitchen import FrankaKitchen
 from earl_jax.metrics.comparison import permutation
-from earl_jax.metrics.crossings import trailing_mean
-from earl_jax.metrics.scores import SUCCESS
 from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.published import released_curves
 from earl_jax.report.runs import Curves, common_step, read
@@ -33,8 +31,6 @@ STILL = 0.1
 """The change of the reward per step under which a kitchen counts as still."""
 KITCHEN_FBRL, KITCHEN_R3L = (f"franka_kitchen/{algo}/commit_c7e2d9e" for algo in ("fbrl", "r3l"))
 """The kitchen's runs that have an evaluation every `LONG` steps."""
-GOALS = 1 / 240
-"""Rewards per step of R3L's released lives on tabletop at their end."""
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
 
 
@@ -73,20 +69,9 @@ def reward(curves: Curves) -> np.ndarray:
     return curves.metrics[CONTINUING][:, -1]
 
 
-def lag(curves: Curves) -> np.ndarray:
-    """Return the steps [N] from a deployed success of 0.5 to half of `GOALS`, trailing means; the end where it is not reached."""
-    deployed = _first(curves.steps, curves.metrics[SUCCESS], 0.5)
-    return _first(curves.steps[1:], _rates(curves), GOALS / 2) - deployed
-
-
 def _rates(curves: Curves) -> np.ndarray:
     """Return the rewards per step [N, E - 1] of the intervals between the evaluations."""
     return np.diff(curves.metrics[CONTINUING] * curves.steps) / np.diff(curves.steps)
-
-
-def _first(steps: np.ndarray, values: np.ndarray, level: float) -> np.ndarray:
-    reached = trailing_mean(steps, values) >= level
-    return np.where(reached.any(axis=1), steps[reached.argmax(axis=1)], steps[-1])
 
 
 Measure = Callable[[Curves], np.ndarray]
@@ -105,13 +90,12 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
             ("share of intervals of 20,000 steps like the one before", still_share),
         )
     ),
-    ("tabletop_organization/r3l", "steps from deployed to lived success", lag),
     ("tabletop_organization/r3l/error_scale", "reward per step", reward),
     ("tabletop_organization/r3l/object_novelty", "reward per step", reward),
     ("tabletop_organization/r3l/perturbation_demos", "reward per step", reward),
     ("tabletop_organization/r3l/timeout_bootstrap", "reward per step", reward),
 )
-STYLES = {"steps": ",.0f", "share": ".2f", "correlation": ".2f", "reward": ".3g"}
+STYLES = {"share": ".2f", "correlation": ".2f", "reward": ".3g"}
 """The format of a measure's numbers by its first word."""
 
 
