@@ -49,6 +49,13 @@ def check_task(env: Env) -> None:
         raise InputError(f"{env.name}: a state that equals its goal is a success, but success is {brief(bits)}")
 
 
+def require_tuple(what: str, result: Any, kind: Any) -> None:
+    """Raise an InputError unless `result`, which the function `what` returned, is a named tuple `kind`."""
+    if not isinstance(result, kind):
+        names = ", ".join(kind._fields)
+        raise InputError(f"{what} must return {kind.__name__}({names}), not an object of {type(result).__name__}")
+
+
 def require_result(what: str, result: Any, shape: tuple[int, ...], kind: str) -> None:
     """Raise an InputError unless `result`, `what` in words, has this `shape` and kind: `bool`, `index` or any `number`."""
     try:

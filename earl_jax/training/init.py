@@ -10,7 +10,7 @@ from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.replay import Replay, TransitionFlags
 from earl_jax.algos.method import TASK, Method, controller_count, kept_transitions
-from earl_jax.envs.checks import require_result
+from earl_jax.envs.checks import require_result, require_tuple
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.continuing import init_counters
 from earl_jax.protocol import Rules
@@ -44,9 +44,7 @@ def init_lane(problem: Problem, method: Method, key: jax.Array, rules: Rules) ->
     task = goals.draw_task(jax.random.fold_in(goal_key, 1))
     phase, phase_step = jnp.asarray(TASK, jnp.int32), jnp.zeros((), jnp.int32)
     goal_indices = method.next_goal(goal_key, goals, phase, GoalIndices(task, task), method_state)
-    if not isinstance(goal_indices, GoalIndices):
-        given = type(goal_indices).__name__
-        raise InputError(f"{method.name}: next_goal must return GoalIndices(goal, task), not an object of {given}")
+    require_tuple(f"{method.name}: next_goal", goal_indices, GoalIndices)
     for index in goal_indices:
         require_result(f"{method.name}: what next_goal returns", index, (), "index")
     env_state = env.with_goal(env.reset(env_key), jnp.asarray(goals.table)[goal_indices.goal])

@@ -26,7 +26,7 @@ from earl_jax.algos.method import (
     select_controller,
 )
 from earl_jax.envs import State
-from earl_jax.envs.checks import require_result
+from earl_jax.envs.checks import require_result, require_tuple
 from earl_jax.envs.state import tree_where
 from earl_jax.errors import InputError
 from earl_jax.physics import PendingStep
@@ -156,6 +156,7 @@ def learn(
     """
     env, phase = problem.env, lane.phase
     sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
+    require_tuple(f"{method.name}: prepare", sampled, TransitionBatch)
     batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
     size = batch.action.shape[:1]
     for name in ("reward", "terminal"):

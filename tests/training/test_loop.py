@@ -166,6 +166,7 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
         r"the action from act must be number\[1\], not float32\[2\]": {"act": lambda *_: [1, 1]},
         r"ends_phase returns must be bool\[\], not int32\[\]": {"ends_phase": lambda *_: 2},
         r"ends_phase returns must be bool\[\], not None": {"ends_phase": lambda *_: None},
+        r"prepare must return TransitionBatch\(row, .*, not an object of NoneType": {"prepare": lambda *_: None},
         r"the reward .*, not float32\[16, 1\]": {"prepare": lambda *of: of[4]._replace(reward=of[4].reward[:, None])},
         r"the diagnostics of an update are \['loss'\], but its learner names \['critic_loss', ": {
             "learn": lambda *of: (of[3], of[6], {"loss": jnp.zeros(())})
