@@ -29,7 +29,9 @@ RESETS = FrankaKitchen.train_horizon
 """Steps between two resets of the kitchen."""
 STILL = 0.1
 """The change of the reward per step under which a kitchen counts as still."""
-KITCHEN_FBRL, KITCHEN_R3L = (f"franka_kitchen/{algo}/commit_c7e2d9e" for algo in ("fbrl", "r3l"))
+KITCHEN_NAIVE, KITCHEN_FBRL, KITCHEN_R3L = (
+    f"franka_kitchen/{run}" for run in ("naive/replay_capacity_None", "fbrl/commit_c7e2d9e", "r3l/commit_c7e2d9e")
+)
 """The kitchen's runs that have an evaluation every `LONG` steps."""
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
 
@@ -83,7 +85,7 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
     *(
         (run, name, measure)
-        for run in ("franka_kitchen/naive/replay_capacity_None", KITCHEN_FBRL, "franka_kitchen/fbrl/mean_return")
+        for run in (KITCHEN_NAIVE, KITCHEN_FBRL, "franka_kitchen/fbrl/mean_return")
         for name, measure in (
             ("reward per step of the 20,000 after a reset", functools.partial(beside_reset, end=LONG)),
             ("reward per step of the 20,000 before a reset", functools.partial(beside_reset, end=0)),
