@@ -1,5 +1,6 @@
 """The SLURM launcher of sweeps: an array job with a task for each program group."""
 
+import contextlib
 import json
 import shlex
 import subprocess
@@ -76,6 +77,8 @@ def _sbatch(folder: Path, tasks: list[Task], options: dict[str, str]) -> str:
         )
     except (OSError, subprocess.CalledProcessError) as error:
         Path(file.name).unlink()
+        with contextlib.suppress(OSError):  # it holds earlier arrays
+            folder.rmdir()
         reason = error.stderr if isinstance(error, subprocess.CalledProcessError) else f"{error}"
         raise InputError(f"--launcher slurm cannot submit a job: {' '.join(reason.split())}") from None
     return submitted.stdout.strip().partition(";")[0]  # a federation adds the name of the cluster
