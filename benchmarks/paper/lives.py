@@ -80,7 +80,10 @@ Measure = Callable[[Curves], np.ndarray]
 MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("sawyer_door/vaprl", "share of intervals with the door shut", shut_share),
     ("sawyer_door/vaprl", "share of those up to 0.3M steps", functools.partial(shut_share, end=EARLY)),
-    ("sawyer_door/vaprl", "share of those from 0.3M steps on", functools.partial(shut_share, start=EARLY)),
+    *(
+        (f"sawyer_door/vaprl{variant}", "share of those from 0.3M steps on", functools.partial(shut_share, start=EARLY))
+        for variant in ("", "/dual", "/dual_demos")
+    ),
     (KITCHEN_FBRL, "correlation of successive intervals of 20,000 steps", memory),
     (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
     *(

@@ -240,4 +240,14 @@ DIFFERENCES = (
         Pair(*((f"{MINITAUR}/{algo}/{name}-seeds_5_to_9",) for name in (RELEASED_REPLAY, "timeout_bootstrap")), metric)
         for algo in ("oracle", "r3l") for metric in (None, SUCCESS)
     )),
+    Difference("24", "VaPRL's life on the door: the release's search, alone, with reachable subgoals, and as 14 relabels", tuple(
+        pair
+        for variant in ("dual", "dual_reachable", "dual_demos")
+        for other in ((f"{DOOR}/vaprl",), PUBLISHED)
+        for pair in _both_scores((f"{DOOR}/vaprl/{variant}",), other)
+    )),
+    Difference("25", "the last setting of 24 on tabletop", (
+        *_both_scores((f"{TABLETOP}/vaprl/dual_demos",), (f"{TABLETOP}/vaprl",)),
+        *_both_scores((f"{TABLETOP}/vaprl/dual_demos",), PUBLISHED),
+    )),
 )  # fmt: skip

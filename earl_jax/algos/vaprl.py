@@ -25,10 +25,11 @@ class VaPRL(Method):
     Alternate task episodes with episodes to a subgoal: the demonstrated state nearest rho with a value >= epsilon.
 
     Source: Sharma et al. 2021 (VaPRL), equation 4, with relabelling as in the released `reset_free_learning`. There are
-    three deliberate differences. Values come from a pair of critics without entropy bonus, in units of one reward, so
-    that epsilon is a discounted success probability (the release has a flag for it). The table of values is refreshed
-    every 200 steps instead of at every phase. Goals are relabelled when sampled, in all episodes and with any goal of
-    the table; the release stores copies of failed episodes with goals from a list of ten.
+    four deliberate differences. Values come from a pair of critics without entropy bonus, in units of one reward, so
+    that epsilon is a discounted success probability (the release has a flag for it). The constraint is that of the
+    paper; the release minimises the distance less the value times a multiplier that it learns. The table of values is
+    refreshed every 200 steps instead of at every phase. Goals are relabelled when sampled, in all episodes and with any
+    goal of the table; the release, if asked to, stores copies of failed episodes with goals from a list of ten.
     """
 
     epsilon: float = struct.field(default=0.1, metadata=within("[-1000000, 1000000]"))
