@@ -22,7 +22,7 @@ from earl_jax.report.tables import Row, csv_text, markdown_table, millions, numb
 SHUT = 0.99
 """The reward per step from which a door counts as shut all the time."""
 EARLY = 300_000
-"""The steps after which the doors of the two sides differ."""
+"""The steps after which the doors of the two sides differ, and at which the kitchens already do."""
 LONG = 20_000
 """Steps of the intervals of the kitchen's lives: the rows of R3L's released ones."""
 RESETS = FrankaKitchen.train_horizon
@@ -66,9 +66,9 @@ def _long_rates(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
     return curves.steps[-whole:][rows - 1 :: rows], rates[:, -whole:].reshape(len(rates), -1, rows).mean(axis=2)
 
 
-def reward(curves: Curves) -> np.ndarray:
-    """Return the reward [N] per step of the life."""
-    return curves.metrics[CONTINUING][:, -1]
+def reward(curves: Curves, end: float = np.inf) -> np.ndarray:
+    """Return the reward [N] per step of the life, up to `end` steps."""
+    return curves.metrics[CONTINUING][:, curves.steps <= end][:, -1]
 
 
 def _rates(curves: Curves) -> np.ndarray:
@@ -83,6 +83,10 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     *(
         (f"sawyer_door/vaprl{variant}", "share of those from 0.3M steps on", functools.partial(shut_share, start=EARLY))
         for variant in ("", "/dual", "/dual_demos")
+    ),
+    *(
+        (f"franka_kitchen/{algo}", "reward per step up to 0.3M steps", functools.partial(reward, end=EARLY))
+        for algo in ("naive", "fbrl")
     ),
     (KITCHEN_FBRL, "correlation of successive intervals of 20,000 steps", memory),
     (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
