@@ -20,9 +20,10 @@ WHOLE = 0.95
 """Share of its steps from which on a run counts as whole."""
 LEGEND = (
     "Our score, the published one over the same steps below it, and the verdict of the test of seeds (permutation, Welch's for "
-    "the Minitaur; adjusted p over the methods of a task): ▲ above, ▼ below, or ? where the seeds cannot tell. A share of the steps is given where it is "
-    f"below {100 * WHOLE:.0f} %. The first three tasks have success, the others return. No runs of the Minitaur were released: "
-    "its published score is the printed one of the whole length. The lightbulb is our reconstruction, which is not compared."
+    "the Minitaur; adjusted p over the methods of a task): ▲ above, ▼ below, or ? where the seeds cannot tell. A share of "
+    f"the steps is given where it is below {100 * WHOLE:.0f} %. The first three tasks have success, the others return. No runs "
+    "of the Minitaur were released: its published score is the printed one of the whole length. The lightbulb is our "
+    "reconstruction, which is not compared."
 )
 SMOOTH = 10
 OURS = {"color": "#0072B2"}
