@@ -36,10 +36,9 @@ KITCHEN_NAIVE, KITCHEN_FBRL, KITCHEN_R3L = (
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
 
 
-def shut_share(curves: Curves, start: float = 0, end: float = np.inf) -> np.ndarray:
-    """Return the share [N] of the intervals between evaluations, from `start` to `end` steps, with the door shut all the time."""
-    inside = (curves.steps[1:] > start) & (curves.steps[1:] <= end)
-    return (_rates(curves)[:, inside] >= SHUT).mean(axis=1)
+def shut_share(curves: Curves) -> np.ndarray:
+    """Return the share [N] of the intervals between evaluations, after `EARLY` steps, with the door shut all the time."""
+    return (_rates(curves)[:, curves.steps[1:] > EARLY] >= SHUT).mean(axis=1)
 
 
 def memory(curves: Curves) -> np.ndarray:
@@ -78,10 +77,8 @@ def _rates(curves: Curves) -> np.ndarray:
 
 Measure = Callable[[Curves], np.ndarray]
 MEASURES: tuple[tuple[str, str, Measure], ...] = (
-    ("sawyer_door/vaprl", "share of intervals with the door shut", shut_share),
-    ("sawyer_door/vaprl", "share of those up to 0.3M steps", functools.partial(shut_share, end=EARLY)),
     *(
-        (f"sawyer_door/vaprl{variant}", "share of those from 0.3M steps on", functools.partial(shut_share, start=EARLY))
+        (f"sawyer_door/vaprl{variant}", "share of intervals after 0.3M steps with the door shut", shut_share)
         for variant in ("", "/dual", "/dual_demos")
     ),
     *(
