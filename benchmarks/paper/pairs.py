@@ -240,7 +240,7 @@ DIFFERENCES = (
         Pair(*((f"{MINITAUR}/{algo}/{name}-seeds_5_to_9",) for name in (RELEASED_REPLAY, "timeout_bootstrap")), metric)
         for algo in ("oracle", "r3l") for metric in (None, SUCCESS)
     )),
-    Difference("24", "VaPRL's life on the door: the release's search, alone, with reachable subgoals, and as 14 relabels", tuple(
+    Difference("24", "VaPRL's life on the door: the release's search; reachable subgoals; relabelled demonstrations alone", tuple(
         pair
         for variant in ("dual", "dual_reachable", "dual_demos")
         for other in ((f"{DOOR}/vaprl",), PUBLISHED)
