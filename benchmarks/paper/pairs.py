@@ -78,6 +78,12 @@ def _both_scores(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[Pair,
     return Pair(first, second), Pair(first, second, CONTINUING)
 
 
+def _variants(cell: str, *names: str) -> tuple[Pair, ...]:
+    """Return the tests of variants of a cell, against the cell and against the released runs."""
+    others = (cell,), PUBLISHED
+    return tuple(pair for name in names for other in others for pair in _both_scores((f"{cell}/{name}",), other))
+
+
 def _released_replay(cell: str) -> tuple[Pair, ...]:
     """Return the tests of a cell with the released replay, against all transitions kept and against the released runs."""
     seeds = cell, f"{cell}/seeds_10_to_19"
@@ -178,13 +184,7 @@ DIFFERENCES = (
         Pair((f"{KITCHEN}/fbrl/mean_return",), PUBLISHED, CONTINUING),
     )),
     Difference("14", "VaPRL's life on the door: the release's replay; reachable subgoals; relabelled demonstrations alone", (
-        *_replays(f"{DOOR}/vaprl"),
-        *(
-            pair
-            for variant in (f"{DOOR}/vaprl/reachable", f"{DOOR}/vaprl/demo_relabelling")
-            for other in ((f"{DOOR}/vaprl",), PUBLISHED)
-            for pair in _both_scores((variant,), other)
-        ),
+        *_replays(f"{DOOR}/vaprl"), *_variants(f"{DOOR}/vaprl", "reachable", "demo_relabelling"),
     )),
     Difference("15", "the Minitaur's oracle and R3L: reward; ends at success; no randomisation; bootstrapped time-outs", (
         *(
@@ -240,14 +240,8 @@ DIFFERENCES = (
         Pair(*((f"{MINITAUR}/{algo}/{name}-seeds_5_to_9",) for name in (RELEASED_REPLAY, "timeout_bootstrap")), metric)
         for algo in ("oracle", "r3l") for metric in (None, SUCCESS)
     )),
-    Difference("24", "VaPRL's life on the door: the release's search; reachable subgoals; relabelled demonstrations alone", tuple(
-        pair
-        for variant in ("dual", "dual_reachable", "dual_demos")
-        for other in ((f"{DOOR}/vaprl",), PUBLISHED)
-        for pair in _both_scores((f"{DOOR}/vaprl/{variant}",), other)
+    Difference("24", "VaPRL's life on the door: the release's search; reachable subgoals; relabelled demonstrations alone", (
+        _variants(f"{DOOR}/vaprl", "dual", "dual_reachable", "dual_demos")
     )),
-    Difference("25", "the last setting of 24 on tabletop", (
-        *_both_scores((f"{TABLETOP}/vaprl/dual_demos",), (f"{TABLETOP}/vaprl",)),
-        *_both_scores((f"{TABLETOP}/vaprl/dual_demos",), PUBLISHED),
-    )),
+    Difference("25", "the last setting of 24 on tabletop", _variants(f"{TABLETOP}/vaprl", "dual_demos")),
 )  # fmt: skip

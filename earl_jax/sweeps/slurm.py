@@ -32,7 +32,6 @@ def submit(out: Path, tasks: list[Task], options: dict[str, str], emit: Callable
     if (out / LOGS).is_symlink():
         raise InputError(f"{out / LOGS} is a link, and a sweep writes through none; remove it")
     if tasks:
-        folder.mkdir(parents=True, exist_ok=True)
         job = _sbatch(folder, tasks, options)
         for number, task in enumerate(tasks):
             for name in task["runs"]:
@@ -64,6 +63,7 @@ def options_of(pairs: tuple[str, ...]) -> dict[str, str]:
 
 def _sbatch(folder: Path, tasks: list[Task], options: dict[str, str]) -> str:
     """Return the number of the array job that trains `tasks`, after its submission. Errors as `submit`."""
+    folder.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile("w", dir=folder, prefix="tasks-", suffix=".jsonl", delete=False) as file:
         file.writelines(f"{json.dumps(task)}\n" for task in tasks)
     log = str(folder).replace("%", "%%") + "/%A_%a.log"
