@@ -65,3 +65,15 @@ def require_result(what: str, result: Any, shape: tuple[int, ...], kind: str) ->
     kinds = {"bool": jnp.bool_, "index": jnp.integer, "number": jnp.generic}
     if given.shape != shape or not jnp.issubdtype(given.dtype, kinds[kind]):
         raise InputError(f"{what} must be {kind}{list(shape)}, not {given.dtype}{list(given.shape)}")
+
+
+def require_like(what: str, result: Any, given: Any) -> None:
+    """Raise an InputError unless the leaves of `result`, `what` in words, have the names, shapes and types of those `given`."""
+    before, after = (
+        {jax.tree_util.keystr(path): f"{jnp.result_type(leaf)}{list(jnp.shape(leaf))}" for path, leaf in leaves}
+        for leaves in map(jax.tree.leaves_with_path, (given, result))
+    )
+    if before != after:
+        name = min(dict(before.items() ^ after.items()))
+        was, now = (leaves.get(name, "missing") for leaves in (before, after))
+        raise InputError(f"{what} as it was, but {name or 'it'} was {was} and is {now}")

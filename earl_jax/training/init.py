@@ -10,7 +10,7 @@ from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.replay import Replay, TransitionFlags
 from earl_jax.algos.method import TASK, Method, controller_count, kept_transitions
-from earl_jax.envs.checks import require_result, require_tuple
+from earl_jax.envs.checks import require_like, require_result, require_tuple
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.continuing import init_counters
 from earl_jax.protocol import Rules
@@ -70,7 +70,9 @@ def _init_agents(problem: Problem, method: Method, key: jax.Array) -> Any:
         return method.learner.init(controller_key, env.observation_size, env.action_size, method.entropy_free_pairs)
 
     agents = jax.vmap(init_agent)(jax.random.split(key, controller_count(method)))
-    return method.pretrain(jax.random.fold_in(key, 1), env, agents, demo_steps(problem, method))
+    pretrained = method.pretrain(jax.random.fold_in(key, 1), env, agents, demo_steps(problem, method))
+    require_like(f"{method.name}: pretrain must return the agent", pretrained, agents)
+    return pretrained
 
 
 def check_lanes(problem: Problem, method: Method, state: TrainState) -> None:

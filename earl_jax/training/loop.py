@@ -26,9 +26,8 @@ from earl_jax.algos.method import (
     select_controller,
 )
 from earl_jax.envs import State
-from earl_jax.envs.checks import require_result, require_tuple
+from earl_jax.envs.checks import require_like, require_result, require_tuple
 from earl_jax.envs.state import tree_where
-from earl_jax.errors import InputError
 from earl_jax.physics import PendingStep
 from earl_jax.protocol import Attempt, StepEnd, advance_rules, count_step, reset_where
 from earl_jax.training.demos import demo_rows
@@ -162,15 +161,16 @@ def learn(
     for name in ("reward", "terminal"):
         require_result(f"{method.name}: the {name} from prepare", getattr(batch, name), size, "number")
     agent = select_controller(lane.agent, controller)
-    agent, method_state, diagnostics = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
-    if (names := sorted(diagnostics)) != (known := sorted(lane.counters.diagnostics)):
-        raise InputError(f"{method.name}: the diagnostics of an update are {names}, but its learner names {known}")
+    learnt = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
+    known = (agent, lane.method_state, lane.counters.diagnostics)
+    require_like(f"{method.name}: learn must return (agent, method_state, diagnostics)", learnt, known)
+    agent, method_state, diagnostics = learnt
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
     counters = lane.counters.replace(diagnostics=diagnostics)
-    learnt = lane.replace(agent=agent, method_state=method_state, counters=counters)
+    updated = lane.replace(agent=agent, method_state=method_state, counters=counters)
     if env.has_absorbing_state:
-        learnt = tree_where(lane.env_state.done > 0, lane, learnt)
-    return learnt if warmup is False else tree_where(jnp.asarray(warmup), lane, learnt)
+        updated = tree_where(lane.env_state.done > 0, lane, updated)
+    return updated if warmup is False else tree_where(jnp.asarray(warmup), lane, updated)
 
 
 def batch_of(problem: Problem, learner: Learner, sampled: TransitionBatch, step: jax.Array) -> Batch:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from earl_jax.algos.learner.replay import sample_own
 from earl_jax.algos.method import Method, controller_count
+from earl_jax.envs.checks import require_like
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
 from earl_jax.training.loop import finish, sample, start, store, train_step, update
@@ -110,4 +111,5 @@ def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
         return m.refresh(key, problem.env, problem.goals, lane.agent, batch, lane.method_state)
 
     refreshed = jax.vmap(refresh_lane)(method, state.lanes, batch)
+    require_like(f"{method.name}: refresh must return method_state", refreshed, state.lanes.method_state)
     return state.replace(lanes=state.lanes.replace(method_state=refreshed))
