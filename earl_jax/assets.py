@@ -58,7 +58,8 @@ def _file(kind: str, name: str, suffix: str) -> Path:
     known = {entry.stem: entry for entry in sorted((root() / kind).glob(f"*{suffix}"))}
     path = known.get(name, Path(name))
     if not path.is_file():
-        cause = choices(name, known) if path.name == name else "there is no such file"
+        is_name = path.name == name and path.suffix != suffix
+        cause = choices(name, known) if is_name else "there is no such file"
         raise InputError(f"no {kind} for {name!r}; {cause}")
     return path
 

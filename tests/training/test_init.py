@@ -98,7 +98,8 @@ CHANGES = [
 @pytest.mark.parametrize(
     ("task", "file", "message"),
     [
-        (DEMO_TASK, "missing.npz", r"no demos for 'missing.npz'; choose from sawyer_door"),
+        (DEMO_TASK, "missing", r"no demos for 'missing'; choose from sawyer_door"),
+        (DEMO_TASK, "missing.npz", r"no demos for 'missing.npz'; there is no such file"),
         (DEMO_TASK, "", r"no demos for ''"),
         (DEMO_TASK, "/dev/null", r"no demos for '/dev/null'; there is no such file"),
         ("sawyer_door", DEMO_TASK, f"{DEMO_TASK} is of another task or variant .* states have 6 numbers, not 7"),
