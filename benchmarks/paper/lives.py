@@ -79,7 +79,7 @@ Measure = Callable[[Curves], np.ndarray]
 MEASURES: tuple[tuple[str, str, Measure], ...] = (
     *(
         (f"sawyer_door/vaprl{variant}", "share of intervals after 0.3M steps with the door shut", shut_share)
-        for variant in ("", "/dual", "/dual_demos")
+        for variant in ("", "/dual", "/dual_demos", "/dual_demos-seeds_10_to_14")
     ),
     *(
         (f"franka_kitchen/{algo}", "reward per step up to 0.3M steps", functools.partial(reward, end=EARLY))

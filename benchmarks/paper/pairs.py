@@ -114,6 +114,11 @@ VAPRL = {
     DOOR: ("no_nearest_fallback", "no_unmet_goals", ALL_KEPT),
     TABLETOP: ("no_unmet_goals", ALL_KEPT),
 }
+KITCHEN_SETTINGS = (
+    "unleashed", "shared", "shared_mean", "unleashed_shared_mean", "wide", "reward_scale_100", "shared_reward_scale_10",
+    "unleashed_reward_scale_10", "temperature_0.01", "greedy",
+)  # fmt: skip
+"""Variants of FBRL in the kitchen with the release's 10,000 random steps, as `random_10000` has them."""
 DIFFERENCES = (
     Difference("1", "FBRL from uniform starts: two controllers, or one agent for both directions"),
     Difference("2", "figure 2 with the release's script: reward scale 0.1, 10,000 random steps; the biased update", tuple(
@@ -244,4 +249,13 @@ DIFFERENCES = (
         _variants(f"{DOOR}/vaprl", "dual", "dual_reachable", "dual_demos")
     )),
     Difference("25", "the last setting of 24 on tabletop", _variants(f"{TABLETOP}/vaprl", "dual_demos")),
+    Difference("26", "the last setting of 24 on fresh seeds", _variants(f"{DOOR}/vaprl", "dual_demos-seeds_10_to_14")),
+    Difference("27", "FBRL's life in the kitchen with more released settings: motion, one agent, goal, deviations; others", tuple(
+        pair
+        for name in KITCHEN_SETTINGS
+        for variant in (f"{KITCHEN}/fbrl/{name}",)
+        for pair in (
+            Pair((f"{KITCHEN}/fbrl/random_10000",), (variant,), CONTINUING), Pair((variant,), PUBLISHED, CONTINUING)
+        )
+    )),
 )  # fmt: skip
