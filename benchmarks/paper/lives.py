@@ -85,6 +85,11 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
         (f"franka_kitchen/{algo}", "reward per step up to 0.3M steps", functools.partial(reward, end=EARLY))
         for algo in ("naive", "fbrl")
     ),
+    (
+        "franka_kitchen/fbrl/random_10000",  # it ends at 0.3M
+        "reward per step of the 20,000 after a reset",
+        functools.partial(beside_reset, end=LONG),
+    ),
     (KITCHEN_FBRL, "correlation of successive intervals of 20,000 steps", memory),
     (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
     *(
