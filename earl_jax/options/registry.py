@@ -6,6 +6,7 @@ from importlib import metadata
 from typing import Any
 
 from earl_jax.errors import InputError, brief, choices
+from earl_jax.options.values import check
 
 ARGUMENTS = frozenset(
     {"env", "name", "algo", "setting", "seeds", "steps", "eval_every", "eval_episodes", "checkpoint_every"}
@@ -127,8 +128,6 @@ class Registry:
         Raises:
             ValueError: the name or an option is unknown, or an option has the wrong type; the message lists the choices.
         """
-        from earl_jax.options.values import check  # loads numpy, which listing does not need
-
         cls = self.get(name)
         check(f"{self.noun} {name!r}", cls, options)
         return cls(**options)
