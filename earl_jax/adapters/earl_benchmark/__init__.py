@@ -42,6 +42,11 @@ class EARLEnvs:
         reward_type: str | None = None,
         reset_train_env_at_goal: bool = False,
         setup_as_lifelong_learning: bool = False,
+        *,
+        num_initial_state_samples: int | None = None,
+        goal_change_frequency: int | None = None,
+        wide_init_distr: bool = False,
+        kitchen_task: str = "all_pairs",
         **options: Any,
     ):
         """Make the envs.
@@ -53,19 +58,26 @@ class EARLEnvs:
             reset_train_env_at_goal: start the train env at the goal (door and peg; the original's tabletop can too, and
                 its other tasks ignore the option).
             setup_as_lifelong_learning: only a train env, whose goal changes every `goal_change_frequency` steps.
-            options: the original's `train_horizon`, `eval_horizon`, `num_initial_state_samples`,
-                `goal_change_frequency`, `wide_init_distr` (only tabletop uses it, as in the original) and
-                `kitchen_task`, and options of the task such as `engine`.
+            num_initial_state_samples: how many states `get_initial_states` returns at most; by default all.
+            goal_change_frequency: steps between two goals of lifelong learning; by default those of the task.
+            wide_init_distr: the option `wide` of tabletop; other tasks ignore it, as in the original.
+            kitchen_task: `all_pairs`, the benchmark's.
+            options: options of the task: the original's `train_horizon` and `eval_horizon`, and others such as `engine`.
 
         Raises:
             ValueError: an unknown name or option (the original ignores unknown options), or one that this task lacks.
         """
-        self._samples = options.pop("num_initial_state_samples", None)
-        continuing = Continuing(goal_change=options.pop("goal_change_frequency", None))
+        self._samples = num_initial_state_samples
+        continuing = Continuing(goal_change=goal_change_frequency)
+        if kitchen_task != "all_pairs":
+            raise InputError(f"kitchen_task {kitchen_task!r} is not supported; use all_pairs, the benchmark's")
         name = ORIGINAL_NAMES.get(env_name, env_name)
-        task_options = _task_options(name, reward_type, options)
-        self._task = self._train_task = make(name, **task_options)
-        self._lifelong = with_explicit_horizon(continuing, self._task, task_options)
+        if wide_init_distr and name == "tabletop_organization":
+            options["wide"] = True
+        if reward_type is not None:
+            options["reward_type"] = reward_type
+        self._task = self._train_task = make(name, **options)
+        self._lifelong = with_explicit_horizon(continuing, self._task, options)
         if reset_train_env_at_goal:
             if not hasattr(self._task, "reset_at_goal"):
                 raise InputError(f"{self._task.name} cannot start at its goal; sawyer_door and sawyer_peg can")
@@ -126,14 +138,3 @@ class EARLEnvs:
             "terminals": np.array(demos.ends)[:, None],
             "next_observations": np.concatenate([demos.next_states, demos.goals], axis=1),
         }
-
-
-def _task_options(name: str, reward_type: str | None, options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of the task `name`, translated from those of the original."""
-    options = dict(options)
-    kitchen_task = options.pop("kitchen_task", "all_pairs")
-    if kitchen_task != "all_pairs":
-        raise InputError(f"kitchen_task {kitchen_task!r} is not supported; use all_pairs, the benchmark's")
-    if options.pop("wide_init_distr", False) and name == "tabletop_organization":
-        options["wide"] = True
-    return options if reward_type is None else {**options, "reward_type": reward_type}
