@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs import Env, for_lanes, make, start_of
+from earl_jax.envs import Env, env_class, for_lanes, make, start_of
 from earl_jax.envs.checks import check_task
 from earl_jax.envs.starts import STARTS
 from earl_jax.envs.state import tree_where
@@ -191,7 +191,7 @@ def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
                 f"options {', '.join(options)} go with a task's name; for an Env object use dataclasses.replace"
             )
         return task
-    known, options = [field.name for field in dataclasses.fields(make(task))], dict(options)
+    known = [field.name for field in dataclasses.fields(env_class(task))]
     for option in options:
         if option not in known:
             choices = ", ".join(["mode", "setting", "attempt_steps", "starts", *known])
