@@ -36,8 +36,6 @@ from earl_jax.protocol import (
 )
 from earl_jax.protocol.life import ATTEMPT_STEPS
 
-MODES = ("train", "eval")
-
 
 class Outputs(NamedTuple):
     """What a step or a reset returns to another library: `obs [s + g]`, and scalars.
@@ -67,13 +65,13 @@ class Session:
 
     env: Env
     protocol: Protocol
-    mode: str = "train"
-    attempt_steps: int = ATTEMPT_STEPS
-    starts: str = STARTS[0]
+    mode: str
+    attempt_steps: int
+    starts: str
     """The distribution of an episode's start, one of `envs.starts.STARTS`."""
 
     def __post_init__(self):
-        require_known("mode", self.mode, MODES)
+        require_known("mode", self.mode, ("train", "eval"))
         require("attempt_steps", self.attempt_steps, COUNT)
         if self.is_training and self.starts != STARTS[0]:
             raise InputError(f"starts={self.starts!r} is for episodes, mode 'eval'; a lifetime starts from s0 ~ rho")
