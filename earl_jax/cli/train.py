@@ -208,9 +208,8 @@ def _score(result: Any) -> tuple[dict[str, Any], str]:
     if WIDE in result.metrics:
         values[WIDE] = result.score(metric=WIDE)._asdict()
     own = parts(result)
-    return values | part_scores(own), f"\n{result.folder.path}: ".join(
-        labelled(own, [_score_text(part) for part in own])
-    )
+    lines = labelled(own, [_score_text(part) for part in own])
+    return values | part_scores(own), f"\n{result.folder.path}: ".join(lines)
 
 
 def _score_text(curves: "Curves") -> str:
