@@ -47,7 +47,7 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.autoreset_mode = _autoreset_mode(self.session, autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self._over = np.zeros(num_envs, bool)
+        self._over, self._all = np.zeros(num_envs, bool), np.ones(num_envs, bool)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -63,8 +63,10 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         else:
             super().reset(seed=seed)
             lane_seeds = [None if seed is None else seed + lane for lane in range(self.num_envs)]
-        first = self._state is None
-        mask = self._mask(options) | first
+        options, first = options or {}, self._state is None
+        if not isinstance(options, dict) or options.keys() - {"reset_mask"}:
+            raise InputError(f"reset takes the option reset_mask only, not {brief(options)}")
+        mask = self._mask(options.get("reset_mask", self._all)) | first
         from_seed = mask & [first or lane_seed is not None for lane_seed in lane_seeds]
         generators = [self.np_random if lane_seed is None else np_random(lane_seed)[0] for lane_seed in lane_seeds]
         seeds = np.stack([draw_seed(generator) for generator in generators])
@@ -74,11 +76,8 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         outputs = jax.device_get(outputs)
         return np.array(outputs.obs), self._masked_infos(outputs, mask)
 
-    def _mask(self, options: dict[str, Any] | None) -> np.ndarray:
-        options = options or {}
-        if not isinstance(options, dict) or options.keys() - {"reset_mask"}:
-            raise InputError(f"reset takes the option reset_mask only, not {brief(options)}")
-        mask = np.array(options.get("reset_mask", np.ones(self.num_envs, bool)))
+    def _mask(self, lanes: Any) -> np.ndarray:
+        mask = np.array(lanes)
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise InputError(f"a mask of lanes is bool [{self.num_envs}], not {mask.dtype} {list(mask.shape)}")
         return mask
@@ -100,7 +99,7 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
             last = outputs
         outputs, last = jax.device_get((outputs, last))
         self._over = last.terminated | last.truncated
-        info = self._masked_infos(outputs, np.ones(self.num_envs, bool))
+        info = self._masked_infos(outputs, self._all)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._over.any():
             info |= self._final_infos(last)
         reward = last.reward.astype(np.float64)
@@ -127,7 +126,7 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
 
         `ResetFreeEnv.set_goal` describes goals and errors.
         """
-        mask = self._mask(None if mask is None else {"reset_mask": mask})
+        mask = self._mask(self._all if mask is None else mask)
         return self._change_goal("goals", goals, (self.num_envs, self.session.env.goal_size), mask)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
