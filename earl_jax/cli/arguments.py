@@ -16,7 +16,6 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 from earl_jax.errors import InputError
 from earl_jax.options.values import TimeLimit, parse_number, parse_whole
 
-SEEDS = "--seeds"
 SEED_TOKEN = re.compile(r"[\d_:,]+")
 """A count, a range or a list of seeds; no task is called so."""
 REGISTRY = ConstructorRegistry()
@@ -63,7 +62,7 @@ def join_seeds(arguments: list[str]) -> list[str]:
     """Return `arguments` with the list after `--seeds` as one argument, so that the list ends before a task."""
     joined: list[str] = []
     for argument in arguments:
-        if joined[-2:-1] == [SEEDS] and all(map(SEED_TOKEN.fullmatch, (argument, joined[-1]))):
+        if joined[-2:-1] == ["--seeds"] and all(map(SEED_TOKEN.fullmatch, (argument, joined[-1]))):
             joined[-1] += f",{argument}"
         else:
             joined.append(argument)
