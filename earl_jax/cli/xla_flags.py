@@ -76,7 +76,7 @@ def helpful_flags(environment: Mapping[str, str]) -> list[str]:
     ]
 
 
-def knows_flag(folder: Path, name: str, text: str = "") -> bool:
+def knows_flag(folder: Path, name: str, text: str) -> bool:
     """Return whether a library in `folder` contains `text`, and `name` as XLA's table of flags does, before a zero byte.
 
     It takes milliseconds: the table is near the beginning of the file. The name of an option that is no flag any more

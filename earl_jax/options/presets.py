@@ -72,7 +72,7 @@ def preset(name: str, env: str | None = None, **changes: Any) -> dict[str, Any]:
     return values
 
 
-def named_preset(name: str, env: str | None, steps: int | None = None) -> Preset:
+def named_preset(name: str, env: str | None, steps: int | None) -> Preset:
     """Return the preset `name` with its steps on the task `env`, or with `steps` if given. Errors as `preset`."""
     require_known("preset", name, PRESETS)
     chosen = PRESETS[name]
