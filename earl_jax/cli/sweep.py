@@ -34,10 +34,10 @@ def sweep(
     limit = parse_minutes(minutes)
     from earl_jax.sweeps import launcher as launchers
 
-    pairs = tuple(itertools.chain(*slurm))
+    pairs, logs = tuple(itertools.chain(*slurm)), tuple(itertools.chain(*log))
     if dry_run:
         launchers.check_options(launcher, pairs, devices, per_device, limit)
-        plan = launchers.plan_sweep(grid, out, max_lanes, tuple(itertools.chain(*log)))
+        plan = launchers.plan_sweep(grid, out, max_lanes, logs)
         emit(plan, json, launchers.describe(plan))
         return
     lines: list[str] = []
@@ -51,7 +51,7 @@ def sweep(
             devices=devices,
             per_device=per_device,
             emit=lines.append if json else print,
-            logs=tuple(itertools.chain(*log)),
+            logs=logs,
             minutes=limit,
         )
     except launchers.Stopped as stopped:
