@@ -38,9 +38,9 @@ def list_(name: Positional[str | None] = None, json: bool = False) -> None:
         raise InputError(f"there is no task, method, learner or preset {name!r}; {choices(name, known)}")
     described = describe(kind, name)
     if kind == "method":
-        described = {**described, "learner": {**stored()["shared"], **describe("learner", LEARNER)["options"]}}
+        described["learner"] = {**stored()["shared"], **describe("learner", LEARNER)["options"]}
     if kind == "learner":
-        described = {**described, "shared": stored()["shared"]}
+        described["shared"] = stored()["shared"]
     emit(described, json, _details(described))
 
 
