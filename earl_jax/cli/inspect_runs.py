@@ -106,16 +106,16 @@ def evaluate(
     from earl_jax.report.runs import labelled, part_scores, parts
 
     chosen, run = Window.of(last, window), training.load(folder)
-    score, own = run.score(chosen) if len(run.steps) else None, parts(run, chosen)
+    scores, texts, own = {"score": None}, ["no evaluation yet"], parts(run, chosen)
+    if len(run.steps):
+        scores, texts = {"score": run.score(chosen)._asdict(), **part_scores(own)}, _scores(own)
     metrics = training.evaluate(folder, episodes, seed, engine, starts, pairs)
     lines = [f"the newest policies over {episodes} new episodes each:"]
     lanes = [[run.seeds.index(seed) for seed in part.config.seeds] for part in own]
     for name, values in metrics.items():
         lines += labelled(own, [f"{name} {_mean_text(values[of_part])}" for of_part in lanes])
-    values = {name: values.tolist() for name, values in metrics.items()}
-    lines += [f"the run: {text}" for text in (_scores(own) if score else ["no evaluation yet"])]
-    scores = {"score": score._asdict(), **part_scores(own)} if score else {"score": None}
-    emit({**values, **scores}, json, "\n".join(lines))
+    lines += [f"the run: {text}" for text in texts]
+    emit({name: values.tolist() for name, values in metrics.items()} | scores, json, "\n".join(lines))
 
 
 def _mean_text(values: "np.ndarray") -> str:
