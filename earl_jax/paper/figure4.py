@@ -24,7 +24,6 @@ from earl_jax.training import evaluate
 METHODS = ("fbrl", "vaprl", "oracle")
 EPISODES = 100
 FEW_SEEDS = "The interval of a drop, by the bootstrap, is too narrow with fewer than ten seeds."
-COLUMNS = ("algo", "seed", "success_initial", "success_uniform")
 
 
 def report(folders: Sequence[Path]) -> Report:
@@ -43,8 +42,8 @@ def report(folders: Sequence[Path]) -> Report:
             raise InputError(f"runs of {config.algo} differ in their task or their options; name those of one")
     for folder, config in configs.items():
         successes = [evaluate(folder, EPISODES, starts=starts)["deployed/success"] for starts in ("initial", "uniform")]
-        for seed, *success in zip(config.seeds, *(values.tolist() for values in successes), strict=True):
-            rows.append(dict(zip(COLUMNS, (config.algo, seed, *success), strict=True)))
+        for seed, initial, uniform in zip(config.seeds, *(values.tolist() for values in successes), strict=True):
+            rows.append({"algo": config.algo, "seed": seed, "success_initial": initial, "success_uniform": uniform})
     return report_of(rows)
 
 
@@ -57,7 +56,7 @@ def report_of(rows: list[Row]) -> Report:
 
 def _row(algo: str, seeds: Sequence[Row]) -> Row:
     """Return a method's row: successes and drop with intervals, published drop, verdict."""
-    initial, uniform = (column(seeds, name) for name in COLUMNS[2:])
+    initial, uniform = column(seeds, "success_initial"), column(seeds, "success_uniform")
     drop, published = relative_drop(initial, uniform), assets.published_row("figure4", algo=algo)
     published_drop = float(published["drop_percent"]) / 100 if published else None
     return {
