@@ -1,6 +1,5 @@
 """The lines of a page, and the numbers behind its plots: curves over the lifetime, thinned and rounded, with their bands."""
 
-import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ from earl_jax.metrics.scores import RATES
 from earl_jax.report.published import published_beside, published_steps
 from earl_jax.report.runs import Curves, by_method
 from earl_jax.report.scores import SMOOTH, crossings_beside, evenly_spaced, interval_of, trailing
-from earl_jax.report.style import colours, lightened, shaded
+from earl_jax.report.style import colours, grouped, lightened, shaded
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 POINTS = 250
@@ -41,8 +40,7 @@ def lines_of(runs: Sequence[Curves]) -> list[Line]:
     """Return a line for each of `runs`, in the paper's order; variants of a method have shades of its colour."""
     lines: list[Line] = []
     palette = colours(curves.algo for curves in runs)
-    for (_, algo), variants in itertools.groupby(by_method(runs), lambda curves: (curves.env, curves.algo)):
-        peers = list(variants)
+    for (_, algo), peers in grouped(by_method(runs), lambda curves: (curves.env, curves.algo)).items():
         for number, curves in enumerate(peers):
             light = shaded(palette[algo], number, len(peers))
             lines.append(Line(f"c{len(lines)}", curves, light, lightened(light), DASHES[number % len(DASHES)]))
