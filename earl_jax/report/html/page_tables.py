@@ -107,9 +107,8 @@ def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
         metrics = line.curves.metrics
         scores = seed_scores(line.curves)
         for lane, seed in enumerate(line.seeds):
-            values = [scores[lane]]
-            values += [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
-            texts = [_typeset(number_text(value, ".4g")) for value in values]
+            last = [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
+            texts = [_typeset(number_text(value, ".4g")) for value in (scores[lane], *last)]
             rows.append((line, line.curves.label, [str(seed), *texts]))
     name = lines[0].curves.deployed_metric.removeprefix("deployed/")
     head = ["seed", f"score ({name})", *(panel.title for panel in panels)]
