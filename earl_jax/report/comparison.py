@@ -85,9 +85,9 @@ def compare(
     require_known("against", against, ("runs", "published"))
     runs = read_methods(folders, window, metric)
     if against == "published":
-        rows = published_rows(runs, metric)
+        rows, needed = published_rows(runs, metric), "tasks of the paper" + (f" with {metric}" if metric else "")
     else:
-        rows = []
+        rows, needed = [], "two methods on one task, or --against published"
         for first, second in (pair for pair in itertools.combinations(runs, 2) if pair[0].env == pair[1].env):
             if cause := _cause_apart(first, second, metric):
                 apart = f"{first.label} and {second.label} on {first.env} are not compared"
@@ -95,10 +95,7 @@ def compare(
             else:
                 rows.append(pair_row(first, second, metric))
     if not rows:
-        choices = "two methods on one task, or --against published"
-        if against == "published":
-            choices = f"tasks of the paper with {metric}" if metric else "tasks of the paper"
-        raise InputError(f"there is nothing to compare; compare needs runs of {choices}")
+        raise InputError(f"there is nothing to compare; compare needs runs of {needed}")
     return with_verdicts(rows)
 
 
