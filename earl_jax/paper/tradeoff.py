@@ -35,10 +35,8 @@ BUDGETS = (10.0, 100.0, 1_000.0)
 """h_max, at a cost of 1 for each intervention."""
 LINE = ("env", "algo", "kind")
 """The columns that name a line of the picture."""
-KINDS = {"epsilon": "o-", "budget": "s--"}
-"""The two ways in which interventions are given, and their lines."""
-NAMES = {"epsilon": "at random", "budget": "on request"}
-"""What the picture calls them."""
+KINDS = {"epsilon": ("at random", "o-"), "budget": ("on request", "s--")}
+"""The two ways in which interventions are given: what the picture calls them, and their lines."""
 SPENT = ("interventions", "help/asked", "help/enforced")
 """The metrics whose sum is the number of interventions spent."""
 WORDS = {"above": "help", "below": "hurt"}
@@ -165,7 +163,8 @@ def _draw(lines: Lines, metrics: dict[str, str]) -> Any:
     figure, axes = style.new_figure(2, len(envs), (max(4.8 * len(envs), 6.4), 7.0), sharex="col")
     palette = style.colours(algo for _, algo, _ in lines)
     for (env, algo, kind), line in lines.items():
-        look = {"fmt": KINDS[kind], "color": palette[algo], "label": f"{style.method_title(algo)}, {NAMES[kind]}"}
+        name, marks = KINDS[kind]
+        look = {"fmt": marks, "color": palette[algo], "label": f"{style.method_title(algo)}, {name}"}
         for axis, score in zip(axes[:, envs.index(env)], ("final", "deployed_area"), strict=True):
             _draw_line(axis, line, score, metrics[env] == SUCCESS, **look)
     for env, (above, below) in zip(envs, axes.T, strict=True):
