@@ -265,9 +265,7 @@ def _draw(arms: Arms) -> Any:
 
 def _colour(horizon: int, horizons: Sequence[int]) -> Any:
     """Return the colour of a horizon, from the darkest of the shortest to the brightest of the longest."""
-    from matplotlib import colormaps
-
-    return colormaps["viridis"](0.92 * horizons.index(horizon) / max(len(horizons) - 1, 1))
+    return style.matplotlib().colormaps["viridis"](0.92 * horizons.index(horizon) / max(len(horizons) - 1, 1))
 
 
 def _draw_final(axis: Any, env: str, arms: Arms) -> None:
