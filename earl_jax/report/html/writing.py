@@ -124,14 +124,14 @@ def watch_page(
     if not every >= LEAST_SECONDS:
         raise InputError(f"every must be at least {LEAST_SECONDS:g} second, not {every}")
     _libraries(out)
-    seen, cause, written = None, "", False
+    seen, cause, shown = None, "", False
     try:
         while True:
             files = set(_files(folders))
             if files != seen:
                 try:
                     write_page(folders, out, every, policies, window)
-                    cause, written = "", True
+                    cause, shown = "", True
                     emit(f"{out}: written at {_now()}; Ctrl-C ends")
                 except InputError as error:
                     if str(error) != cause:
@@ -140,7 +140,7 @@ def watch_page(
             seen = files
             sleep(every)
     except KeyboardInterrupt:
-        if written:
+        if shown:
             write_page(folders, out, policies=policies, window=window)
             emit(f"{out} is of {_now()} and does not reload any more")
 
