@@ -174,9 +174,12 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
         r"learn .*, but \[2\]\['critic_loss'\] was float32\[\] and is missing": {
             "learn": lambda *of: (of[3], of[6], {"loss": jnp.zeros(())})
         },
-        r"pretrain must return the agent as it was, but .* was float32\[.*\] and is missing": {"pretrain": lambda *_: None},
+        r"pretrain must return the agent as it was, but .* was float32\[.*\] and is missing": {
+            "pretrain": lambda *_: None
+        },
         r"refresh must return method_state as it was, but it was missing and is int32\[2\]": {
-            "refresh_every": 2, "refresh": lambda *_: jnp.zeros((), jnp.int32)
+            "refresh_every": 2,
+            "refresh": lambda *_: jnp.zeros((), jnp.int32),
         },
     }.items():
         with pytest.raises(ValueError, match=f"odd: .*{message}"):
