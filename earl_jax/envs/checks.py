@@ -76,4 +76,4 @@ def require_like(what: str, result: Any, given: Any) -> None:
     if before != after:
         name = min(dict(before.items() ^ after.items()))
         was, now = (leaves.get(name, "missing") for leaves in (before, after))
-        raise InputError(f"{what} as it was, but {name or 'it'} was {was} and is {now}")
+        raise InputError(f"{what} with the same leaves, but {name or 'it'} was {was} and is {now}")
