@@ -76,6 +76,7 @@ def _rates(curves: Curves) -> np.ndarray:
 
 
 Measure = Callable[[Curves], np.ndarray]
+AFTER_RESET = "reward per step of the 20,000 after a reset", functools.partial(beside_reset, end=LONG)
 MEASURES: tuple[tuple[str, str, Measure], ...] = (
     *(
         (f"sawyer_door/vaprl{variant}", "share of intervals after 0.3M steps with the door shut", shut_share)
@@ -85,18 +86,14 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
         (f"franka_kitchen/{algo}", "reward per step up to 0.3M steps", functools.partial(reward, end=EARLY))
         for algo in ("naive", "fbrl")
     ),
-    (
-        "franka_kitchen/fbrl/random_10000",  # it ends at 0.3M
-        "reward per step of the 20,000 after a reset",
-        functools.partial(beside_reset, end=LONG),
-    ),
+    ("franka_kitchen/fbrl/random_10000", *AFTER_RESET),  # it ends at 0.3M
     (KITCHEN_FBRL, "correlation of successive intervals of 20,000 steps", memory),
     (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
     *(
         (run, name, measure)
         for run in (KITCHEN_NAIVE, KITCHEN_FBRL, "franka_kitchen/fbrl/mean_return")
         for name, measure in (
-            ("reward per step of the 20,000 after a reset", functools.partial(beside_reset, end=LONG)),
+            AFTER_RESET,
             ("reward per step of the 20,000 before a reset", functools.partial(beside_reset, end=0)),
             ("share of intervals of 20,000 steps like the one before", still_share),
         )

@@ -114,10 +114,10 @@ VAPRL = {
     DOOR: ("no_nearest_fallback", "no_unmet_goals", ALL_KEPT),
     TABLETOP: ("no_unmet_goals", ALL_KEPT),
 }
-KITCHEN_SETTINGS = (
+KITCHEN_SETTINGS = tuple(f"{KITCHEN}/fbrl/{name}" for name in (
     "unleashed", "shared", "shared_mean", "unleashed_shared_mean", "wide", "reward_scale_100", "shared_reward_scale_10",
     "unleashed_reward_scale_10", "temperature_0.01", "greedy",
-)  # fmt: skip
+))  # fmt: skip
 """Variants of FBRL in the kitchen with the release's 10,000 random steps, as `random_10000` has them."""
 DIFFERENCES = (
     Difference("1", "FBRL from uniform starts: two controllers, or one agent for both directions"),
@@ -252,8 +252,7 @@ DIFFERENCES = (
     Difference("26", "the last setting of 24 on fresh seeds", _variants(f"{DOOR}/vaprl", "dual_demos-seeds_10_to_14")),
     Difference("27", "FBRL's life in the kitchen with more released settings: motion, one agent, goal, deviations; others", tuple(
         pair
-        for name in KITCHEN_SETTINGS
-        for variant in (f"{KITCHEN}/fbrl/{name}",)
+        for variant in KITCHEN_SETTINGS
         for pair in (
             Pair((f"{KITCHEN}/fbrl/random_10000",), (variant,), CONTINUING), Pair((variant,), PUBLISHED, CONTINUING)
         )

@@ -74,6 +74,6 @@ def require_like(what: str, result: Any, given: Any) -> None:
         for leaves in map(jax.tree.leaves_with_path, (given, result))
     )
     if before != after:
-        name = min(dict(before.items() ^ after.items()))
+        name, _ = min(before.items() ^ after.items())
         was, now = (leaves.get(name, "missing") for leaves in (before, after))
         raise InputError(f"{what} with the same leaves, but {name or 'it'} was {was} and is {now}")

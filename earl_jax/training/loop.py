@@ -163,7 +163,7 @@ def learn(
     agent = select_controller(lane.agent, controller)
     learnt = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
     known = (agent, lane.method_state, lane.counters.diagnostics)
-    require_like(f"{method.name}: learn must return (agent, method_state, diagnostics)", learnt, known)
+    require_like(f"{method.name}: learn must return (agent, method_state, Learner.diagnostics)", learnt, known)
     agent, method_state, diagnostics = learnt
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
     counters = lane.counters.replace(diagnostics=diagnostics)

@@ -168,10 +168,10 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
         r"ends_phase returns must be bool\[\], not None": {"ends_phase": lambda *_: None},
         r"prepare must return TransitionBatch\(row, .*, not an object of NoneType": {"prepare": lambda *_: None},
         r"the reward .*, not float32\[16, 1\]": {"prepare": lambda *of: of[4]._replace(reward=of[4].reward[:, None])},
-        r"learn must return \(agent, method_state, diagnostics\) with the same leaves, but .* was float32\[8\] and is missing": {
+        r"learn must return \(agent, .*Learner.diagnostics\) with the same leaves, but \[0\].* was float32\[8\] and is missing": {
             "learn": lambda *_: None
         },
-        r"learn .*, but \[2\]\['critic_loss'\] was float32\[\] and is missing": {
+        r"learn .*, Learner.diagnostics\) with .*, but \[2\]\['critic_loss'\] was float32\[\] and is missing": {
             "learn": lambda *of: (of[3], of[6], {"loss": jnp.zeros(())})
         },
         r"pretrain must return the agent with the same leaves, but .* was float32\[.*\] and is missing": {
