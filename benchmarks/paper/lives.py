@@ -84,14 +84,14 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ),
     *(
         (f"franka_kitchen/{algo}", "reward per step up to 0.3M steps", functools.partial(reward, end=EARLY))
-        for algo in ("naive", "fbrl")
+        for algo in ("naive", "fbrl", "fbrl/released")
     ),
     ("franka_kitchen/fbrl/random_10000", *AFTER_RESET),  # it ends at 0.3M
     (KITCHEN_FBRL, "correlation of successive intervals of 20,000 steps", memory),
     (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
     *(
         (run, name, measure)
-        for run in (KITCHEN_NAIVE, KITCHEN_FBRL, "franka_kitchen/fbrl/mean_return")
+        for run in (KITCHEN_NAIVE, KITCHEN_FBRL, "franka_kitchen/fbrl/mean_return", "franka_kitchen/fbrl/released")
         for name, measure in (
             AFTER_RESET,
             ("reward per step of the 20,000 before a reset", functools.partial(beside_reset, end=0)),

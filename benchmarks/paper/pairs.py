@@ -78,9 +78,9 @@ def _both_scores(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[Pair,
     return Pair(first, second), Pair(first, second, CONTINUING)
 
 
-def _variants(cell: str, *names: str) -> tuple[Pair, ...]:
-    """Return the tests of variants of a cell, against the cell and against the released runs."""
-    others = (cell,), PUBLISHED
+def _variants(cell: str, *names: str, base: str | None = None) -> tuple[Pair, ...]:
+    """Return the tests of variants of a cell, against its run `base`, by default the cell, and against the released runs."""
+    others = (base or cell,), PUBLISHED
     return tuple(pair for name in names for other in others for pair in _both_scores((f"{cell}/{name}",), other))
 
 
@@ -256,5 +256,11 @@ DIFFERENCES = (
         for pair in (
             Pair((f"{KITCHEN}/fbrl/random_10000",), (variant,), CONTINUING), Pair((variant,), PUBLISHED, CONTINUING)
         )
+    )),
+    Difference("28", "FBRL in the kitchen with VaPRL's released settings at once, fresh seeds", (
+        _variants(f"{KITCHEN}/fbrl", "released", base=BESIDE_VARIANTS["fbrl"])
+    )),
+    Difference("29", "the same, with everything closed as the backward goal", (
+        _variants(f"{KITCHEN}/fbrl", "released_closed", base=BESIDE_VARIANTS["fbrl"])
     )),
 )  # fmt: skip
