@@ -119,7 +119,7 @@ def checked_demos(demos: Demos) -> Demos:
 
     Raises:
         ValueError: there are none, their arrays do not fit together, a number is not finite, an action is outside [-1, 1],
-            or the last demonstration has no end.
+            or a demonstration has a gap or no end.
     """
     import numpy as np
 
@@ -137,6 +137,10 @@ def checked_demos(demos: Demos) -> Demos:
         raise InputError("the actions have values outside [-1, 1]")
     if not demos.ends[-1]:
         raise InputError("the last one stops in the middle of an episode")
+    follows = np.isclose(demos.states[1:], demos.next_states[:-1], rtol=1e-4, atol=1e-4).all(axis=1) | demos.ends[:-1]
+    if not follows.all():
+        row = int(np.argmin(follows))
+        raise InputError(f"row {row + 1} does not begin where row {row} arrives, and row {row} ends no episode")
     return demos
 
 

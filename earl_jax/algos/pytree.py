@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any, Self, dataclass_transform
 
 import jax
+import numpy as np
 from flax import struct
 
 from earl_jax.errors import check_overrides
@@ -32,7 +33,7 @@ class OptionsNode:
 
         def flatten(node: Any) -> tuple[list, tuple]:
             leaves, static = names()
-            keyed = [(jax.tree_util.GetAttrKey(name), getattr(node, name)) for name in leaves]
+            keyed = [(jax.tree_util.GetAttrKey(name), _leaf(getattr(node, name))) for name in leaves]
             return keyed, tuple(getattr(node, name) for name in static)
 
         def unflatten(values: tuple, children: Any) -> Any:
@@ -44,3 +45,8 @@ class OptionsNode:
     def replace(self, **changes: Any) -> Self:
         """Return a copy with other values of some fields."""
         return dataclasses.replace(self, **changes)
+
+
+def _leaf(value: Any) -> Any:
+    """Return a list of a number for each lane as an array, since jax takes a list apart; other values as they are."""
+    return np.asarray(value) if isinstance(value, list) and all(map(np.isscalar, value)) else value

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from earl_jax.envs.checks import require_like
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State, all_finite, random_row
@@ -212,6 +213,7 @@ class Env(abc.ABC):
             given = f"{', '.join(sorted(new))}, but reset sets {', '.join(state.info)}"
             raise InputError(f"{self.name}: a step changes info {given} alone")
         after = self.make_state(data, vector, {**state.info, **changed})
+        require_like(f"{self.name}: a step must return the state", after, state)
         return after.replace(obs=jnp.where(jnp.isfinite(action).all(), after.obs, jnp.nan))
 
     def make_state(self, data: Any, vector: jax.Array, info: dict[str, jax.Array]) -> State:

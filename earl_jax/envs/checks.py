@@ -1,18 +1,20 @@
 """Checks of a task before it is used: its goals, and what its functions of an observation return."""
 
 import functools
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from earl_jax.envs.base import Env
 from earl_jax.errors import InputError, brief
+
+if TYPE_CHECKING:
+    from earl_jax.envs.base import Env
 
 
 @functools.cache
-def check_task(env: Env) -> None:
+def check_task(env: "Env") -> None:
     """Check the goals of `env` and its functions of `obs`.
 
     Raises:

@@ -77,9 +77,10 @@ DEFAULT = Window()
 
 
 def require_window(window: Any) -> None:
-    """Raise an InputError if `window` is not a `Window`."""
+    """Raise an InputError if `window` is not a `Window`, or not one of `Window.of`."""
     if not isinstance(window, Window):
         raise InputError(f"window must be a Window, such as Window(last=5), not {brief(window)}")
+    Window.of(*window)
 
 
 def final_scores(steps: np.ndarray, values: Any, window: Window = DEFAULT) -> Any:
@@ -151,7 +152,12 @@ def deployed_area(steps: Any, scores: Any) -> Any:
 
     Each evaluation is weighted by the steps since the previous one. The paper sums J_D(pi_t) over every t, which would
     need an evaluation at every step.
+
+    Raises:
+        ValueError: there are not as many `steps` as scores of a curve.
     """
+    if np.shape(steps) != np.shape(scores)[-1:]:
+        raise InputError(f"steps {np.shape(steps)} and scores {np.shape(scores)} are not those of the same evaluations")
     return (scores * namespace_of(steps).diff(steps, prepend=0)).sum(axis=-1) / steps[-1]
 
 

@@ -3,7 +3,7 @@
 import collections
 import itertools
 import operator
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any
 
 from earl_jax.errors import InputError, brief
@@ -22,6 +22,8 @@ def seed_list(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
     """
     named: Any = _parsed(seeds) if isinstance(seeds, str) else seeds
     try:
+        if isinstance(named, bytes | Set | Mapping):  # numbers in another order than written, or none
+            raise TypeError
         some = named if isinstance(named, Iterable) else range(_whole(named))
         whole = tuple(map(_whole, itertools.islice(some, MOST_SEEDS + 1)))  # a range can be endless
     except TypeError:

@@ -104,7 +104,8 @@ def check_intervals(owner: str, options: Any) -> None:
                 f"{owner}: {field.name} must be a plain value, such as a tuple, not the array {brief(value)}"
             )
         if "interval" in field.metadata and value is not None:
-            require(f"{owner}: {field.name}", value, field.metadata["interval"])
+            interval = field.metadata["interval"]
+            require(f"{owner}: {field.name}", value, interval._replace(whole=interval.whole or field.type is int))
 
 
 def literals(cls: type) -> dict[str, tuple[Any, ...]]:

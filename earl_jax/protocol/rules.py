@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs import Env, State
+from earl_jax.envs.checks import require_like, require_result
 from earl_jax.envs.starts import EVAL_PAIRS
 from earl_jax.envs.state import tree_where
 from earl_jax.errors import require_known
@@ -86,7 +87,9 @@ def advance_rules(
 
     `key` draws interventions by chance. A fault resets this lane, as an intervention does.
     """
-    fault = env.fault(env_state) | attempt.invalid_reward
+    fault = env.fault(env_state)
+    require_result(f"{env.name}: what fault returns", fault, (), "bool")
+    fault = fault | attempt.invalid_reward
     success = env.sparse & env.success(env_state.obs) & ~fault & (env_state.done == 0)
     reached = success & attempt.ends_on_success
     intervened = rules.intervened(step, key) | fault
@@ -111,7 +114,9 @@ def reset_where(reset: jax.Array, env: Env, key: jax.Array, env_state: State) ->
 
     This is a select instead of a branch, because under vmap a branch would compute both sides as well.
     """
-    return tree_where(reset, env.intervene(key, env_state), env_state)
+    fresh = env.intervene(key, env_state)
+    require_like(f"{env.name}: intervene must return the state", fresh, env_state)
+    return tree_where(reset, fresh, env_state)
 
 
 def count_step(

@@ -1,6 +1,7 @@
 """Curves read from run folders, grouped by task and method."""
 
 import dataclasses
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from earl_jax.protocol import SETTINGS, Deployment
 from earl_jax.report.style import grouped, method_order, task_order
 from earl_jax.runs.config import RunConfig, method_options
 from earl_jax.runs.contents import METRICS
+from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 
 SAME_TASK = frozenset({"engine", "demo_file", "reward_type"})
@@ -135,12 +137,13 @@ def read(path: Path, window: Window = DEFAULT) -> Curves:
 def by_values(curves: Curves) -> list[Curves]:
     """Return the curves of one run, apart for each set of hyper-parameters where its seeds have values of their own.
 
-    They stay together where the class of the method is not known here.
+    They stay together where the class of the method is not known here, and a `RunWarning` says so.
     """
     config, folder, lanes = curves.config, curves.runs[0], range(len(curves.config.seeds))
     try:
         leaves, structure = jax.tree.flatten(config.build_method())
     except InputError:
+        _warn_of_values(curves)
         return [curves]
     if not any(map(np.ndim, leaves)):
         return [curves]
@@ -152,6 +155,15 @@ def by_values(curves: Curves) -> list[Curves]:
         metrics = Columns(folder.path, {name: values[rows] for name, values in curves.metrics.items()})
         parts.append(curves._replace(config=part, metrics=metrics, runs=(dataclasses.replace(folder, config=part),)))
     return parts
+
+
+def _warn_of_values(curves: Curves) -> None:
+    """Warn if the seeds of a run, whose method is not known here, have a list of numbers with a value for each."""
+    for name, values in curves.config.options.items():
+        if isinstance(values, list) and len(values) == len(curves.config.seeds) and float in map(type, values):
+            cause = f"{curves.runs[0].path}: its seeds have different values of {name} and are taken together"
+            remedy = "to tell them apart, pass the file of their method with --import"
+            warnings.warn(f"{cause}; {remedy}", RunWarning, stacklevel=2)
 
 
 def common_step(first: Curves, second: Curves, share: float = 1.0) -> int | None:

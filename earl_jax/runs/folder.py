@@ -223,6 +223,8 @@ class RunFolder:
 def _require_free(path: Path, overwrite: bool) -> None:
     """Raise an InputError if the folder at `path` holds results, unless `overwrite`, or files that are not a run's."""
     check_folder(path)
+    if not isinstance(overwrite, bool):
+        raise InputError(f"overwrite must be True or False, not {brief(overwrite)}")
     in_the_way = contents.has_results(path) and not overwrite
     if in_the_way and (path / CONFIG).is_file():
         raise InputError(

@@ -30,7 +30,7 @@ from earl_jax.runs.policies import policies_step
 from earl_jax.training.forks import require_jax
 from earl_jax.training.plan import Plan
 from earl_jax.training.result import Result
-from earl_jax.training.runner import Run, plan_runs, run_program
+from earl_jax.training.runner import Run, plan_runs, run_program, trace
 
 
 @package_types()
@@ -93,7 +93,8 @@ def train(
     method = _method_of(task, algo, options)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
     run = Run.resolve(RunConfig.from_objects(task, method, rules, seed_list(seeds), schedule), task, method, rules)
-    plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
+    plan = plan_runs([run], devices)
+    trace(plan, [run])  # before the folder: an impossible plan or an error in a function neither makes nor overwrites one
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)

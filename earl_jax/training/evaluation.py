@@ -54,7 +54,7 @@ def _own_metrics(method: Method, lane: LaneState, taken: set[str]) -> dict[str, 
         if name in taken:
             raise InputError(f"{name!r} is a column of every metrics.csv: give this scalar of the learner another name")
         require_result(f"the column {name!r} of metrics.csv", value, (), "number")
-    return own
+    return {name: value + 0 for name, value in own.items()}  # a bool as 0 or 1
 
 
 @package_types()

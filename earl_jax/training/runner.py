@@ -136,6 +136,16 @@ def plan_runs(runs: Sequence[Run], devices: int | None) -> Plan:
     return plan
 
 
+def trace(plan: Plan, runs: Sequence[Run]) -> None:
+    """Raise the errors of the functions of `runs` from their first step on; `run_program` does not trace them again."""
+    method = placed(join_lanes([run.method for run in runs]), plan.mesh)
+    init = _initial_state(plan, method, runs)
+    state = _init.eval_shape(*init.args)
+    for warmup in {*plan.warmups(0)}:
+        state = _advance.eval_shape(plan.problem, method, state, plan.chunk_steps, warmup, plan.mesh)
+    _evaluate.eval_shape(plan.problem, method, state, plan.mesh)
+
+
 def run_program(plan: Plan, runs: Sequence[Run], progress: bool, limit: TimeLimit | None) -> TrainState:
     """Return the final state of all lanes of `runs`, resumed from their newest checkpoints.
 
@@ -272,7 +282,7 @@ def _with_lanes(runs: Sequence[Run]) -> Iterator[tuple[Run, slice]]:
     return zip(runs, itertools.starmap(slice, itertools.pairwise([0, *ends])), strict=True)
 
 
-def _initial_state(plan: Plan, method: Method, runs: Sequence[Run]) -> Callable[[], TrainState]:
+def _initial_state(plan: Plan, method: Method, runs: Sequence[Run]) -> functools.partial[TrainState]:
     """Return the function that makes the state of all lanes before the first step."""
     keys = placed(seed_keys([seed for run in runs for seed in run.config.seeds]), plan.mesh)
     lanes = [len(run.config.seeds) for run in runs]

@@ -34,6 +34,12 @@ def test_static_fields_belong_to_the_structure_and_the_others_are_leaves():
         options.rate = 1.0
 
 
+def test_a_list_with_a_number_for_each_lane_is_one_leaf():
+    """Jax used to take it apart, which ended in an error of its own."""
+    [leaf] = jax.tree.leaves(Options(rate=[0.2, 0.8]))  # pyright: ignore[reportArgumentType]
+    assert leaf.tolist() == [0.2, 0.8]
+
+
 def test_a_field_that_autoreload_has_added_keeps_its_value():
     """It had its default in a program: the fields were those with which the class was first defined."""
 

@@ -42,6 +42,20 @@ def test_odd_goals_and_functions_are_refused_by_training_adapters_and_a_loop_of_
             use()
 
 
+@pytest.mark.parametrize(
+    ("member", "value", "message"),
+    [
+        ("fault", lambda env, state: None, r"what fault returns must be bool\[\], not None"),
+        ("intervene", lambda env, key, state: None, r"intervene must return the state with .*, but .data was float32\[1\] and"),
+        ("reset", lambda env, key: Chain.reset(env, key).replace(data=jnp.zeros(1, jnp.int32)), r".data was int32\[1\]"),
+    ],
+)  # fmt: skip
+def test_a_life_refuses_what_a_function_of_a_state_may_not_return(member, value, message):
+    env, protocol = type("Odd", (Chain,), {member: value})(), Protocol(8, 4)
+    with pytest.raises(InputError, match=f"chain: .*{message}"):
+        advance(env, init(env, protocol, jax.random.key(0)), jnp.ones(1))
+
+
 def test_goals_of_whole_numbers_keep_the_types_of_a_life():
     """The first goal used to be int32 and every later one float32, which a scan refuses."""
     env = type("Whole", (Chain,), {"goal_states": np.array([[3], [0]]), "initial_states": np.array([[0]])})()

@@ -31,6 +31,8 @@ def test_a_lifetime_has_three_scores_and_its_area_weights_an_evaluation_by_the_s
     assert scores.continuing.tolist() == [0.2, 0.4]
     with pytest.raises(ValueError, match="unknown metric 'success'"):
         lifetime_scores(STEPS, metrics, "success")
+    with pytest.raises(ValueError, match=r"steps \(1,\) and scores \(2, 2\) are not those of the same evaluations"):
+        lifetime_scores(STEPS[:1], metrics, "deployed/success")
 
 
 @pytest.mark.parametrize(
@@ -73,6 +75,8 @@ def test_a_window_counts_evaluations_or_steps():
         Window.of(None, 1.5)
     with pytest.raises(InputError, match=r"must be a Window, such as Window\(last=5\), not 'x'"):
         Score.of(STEPS, {"x": SCORES}, "x", "x")
+    with pytest.raises(InputError, match=r"last must lie in \[1, "):
+        Score.of(STEPS, {"x": SCORES}, "x", Window(last=0))
 
 
 def test_regret_is_the_sum_of_gaps_to_the_optimum():

@@ -29,6 +29,7 @@ def test_seeds_are_a_count_a_range_or_a_list_as_text_or_not(seeds, expected):
         *[(text, "seeds takes a count") for text in ("10:5", "5:5", "1:2:3", ",", "")],
         *[(text, "seeds: .* is not a whole number") for text in ("a", "5:", "1.5")],
         *[(seeds, "seeds must be whole numbers, not") for seeds in ([0.5, 1], 2.0, None, ["3"], True, [0, True])],
+        *[(seeds, "seeds must be whole numbers, not") for seeds in (b"ab", {3: 1}, {3, 1})],
         *[(seeds, "seeds must name at least one, not") for seeds in (0, [], "0", -1)],
         *[(seeds, "seed [13] is given twice") for seeds in ([1, 1], "1,1", "0:5,3")],
         *[(seeds, "at most 65536 seeds fit in one run") for seeds in (10**12, "0:99999999999,1", range(10**30))],

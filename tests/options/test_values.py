@@ -173,6 +173,7 @@ def test_options_of_an_object_that_no_program_can_hold_are_named():
         mode: Literal["a", "b"] = struct.field(pytree_node=False, default="a")
 
     for method, message in (
+        (Marked(SAC(batch_size=2.0)), "naive: batch_size must be a whole number, not 2.0"),  # pyright: ignore[reportArgumentType]
         (Marked(weights=np.zeros(2)), r"naive: weights must be a plain value, .* not the array \[0.0, 0.0\]"),
         (Marked(mode="c"), "mode 'c' is not one of a, b"),  # pyright: ignore[reportArgumentType]
         (Marked(SAC), r"the learner must be an object of Learner, not .*did you mean SAC\(\)"),  # pyright: ignore[reportArgumentType]

@@ -30,6 +30,9 @@ def test_seeds_of_one_run_that_have_values_of_their_own_are_apart(tmp_path):
     assert labels([default, larger]) == ["naive (learning_rate=3e-4)", "naive (learning_rate=0.001)"]
     assert (default.run_seeds, larger.run_seeds) == ([0, 2], [1, 3, 8])
     np.testing.assert_allclose(larger.metrics["deployed/success"], scores[[1, 3, 0]])
+    change_config(tmp_path / "lists", algo="theirs")
+    with pytest.warns(RunWarning, match="lists: its seeds have different values of learning_rate .* --import"):
+        assert len(read_all([tmp_path / "lists"])) == 1
     [flags] = read_all([write_run(tmp_path / "flags", TABLETOP, "fbrl", scores, timeout_bootstrap=[0, 0, 0, 1])])[1:]
     assert flags.config.options == {"timeout_bootstrap": True}
 

@@ -174,6 +174,8 @@ def test_a_folder_with_results_is_replaced_only_on_request(folder, state, capsys
     refusal = r"holds another run; choose another folder, continue it .* --overwrite .in Python, overwrite=True.$"
     with unchanged(folder.path), pytest.raises(ValueError, match=refusal):
         create(folder)
+    with unchanged(folder.path), pytest.raises(ValueError, match="overwrite must be True or False, not 'no'"):
+        create(folder, overwrite="no")
     assert RunFolder.open(create(folder, overwrite=True).path).config.seeds == (1, 2, 3)
     message = capsys.readouterr().err
     assert message.startswith(f"earl-jax: removed from the earlier run in {folder.path}: ")

@@ -35,7 +35,7 @@ class Reporter(Method):
     name = "reporter"
 
     def init(self, key, env, goals):
-        metrics = {"answer": jnp.full(self.shape, 42.0)}
+        metrics = {"answer": jnp.full(self.shape, 42.0), "known": jnp.ones(self.shape, bool)}
         return Answer(metrics) if self.shape else {"metrics": metrics}
 
 
@@ -66,6 +66,7 @@ def test_scalars_in_the_metrics_of_a_method_are_metrics_and_a_learner_without_pa
     method = per_lane(Reporter(Rest()), 2)
     metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]
     assert metrics["reporter/answer"].tolist() == [42.0, 42.0]
+    assert metrics["reporter/known"].dtype == jnp.int32, "metrics.csv has numbers"
     assert metrics["diverged"].tolist() == [0, 0]
     odd = {r"'reporter/answer' of metrics.csv must be number\[\], not float32\[3\]": Reporter(Rest(), shape=(3,))}
     for name in ("seed", "interventions"):

@@ -89,6 +89,7 @@ CHANGES = [
     (lambda arrays: arrays.pop("goals"), "is damaged: it lacks arrays"),
     (lambda arrays: arrays.clear(), "has no demonstrations: it lacks forward_states .*import-demos"),
     (lambda arrays: arrays["ends"].fill(False), "stops in the middle of an episode"),
+    (lambda arrays: arrays["ends"][:-1].fill(False), "row 119 does not begin where row 118 arrives"),
     (fill("actions", 1.01), r"the actions have values outside \[-1, 1\]"),
     *[(fill(name, np.nan), f"the {name} have values that are not finite") for name in assets.Demos._fields[:-1]],
 ]

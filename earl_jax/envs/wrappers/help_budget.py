@@ -15,6 +15,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.envs.base import Env
+from earl_jax.envs.checks import require_result
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import Map, Starts, View
 from earl_jax.envs.state import NextState, State, stored_key, tree_where
@@ -159,7 +160,9 @@ class HelpBudget(Env):
 
         The budget is computed from the counts, so that rounding does not add up over a long lifetime.
         """
-        enforced = ~asked & (self.task.irreversible(moved) | self.task.fault(moved))
+        irreversible = self.task.irreversible(moved)
+        require_result(f"{self.task.name}: what irreversible returns", irreversible, (), "bool")
+        enforced = ~asked & (irreversible | self.task.fault(moved))
         following, drawn = jax.random.split(jax.random.wrap_key_data(state.info["key"]))
         counts = {"asked": state.info["asked"] + asked, "enforced": state.info["enforced"] + enforced}
         paid = counts["asked"] * self.help_cost + counts["enforced"] * self.enforced_cost
