@@ -26,12 +26,13 @@ demonstrations, layer norm in the critics, an evaluation of {episodes} episodes 
 """
 
 
-def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) -> None:
+def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None, overwrite: bool = False) -> None:
     """Train forward-backward RL on tabletop organization on a CPU within minutes, and draw its curves.
 
     Args:
         out: New folder for the run, curves.png and table.md.
         steps: Training steps of each seed. By default 170,000.
+        overwrite: Replace an earlier run in that folder.
     """
     from earl_jax.report.plots import plot_runs
     from earl_jax.report.scores import SMOOTH
@@ -46,7 +47,7 @@ def quickstart(out: Path = Path("runs/quickstart"), steps: int | None = None) ->
         print(EXPECTED.format(low=RANGE[0], high=RANGE[1]))
     run = out / ALGO
     values = preset("quick", ENV, steps=steps, eval_every=every, checkpoint_every=steps)
-    result = train(ENV, ALGO, out=run, progress=True, **values)
+    result = train(ENV, ALGO, out=run, overwrite=overwrite, progress=True, **values)
     figure = plot_runs([run], out / "curves.png", smooth=SMOOTH)
     table = out / "table.md"
     rows = tabulate([run])

@@ -97,8 +97,9 @@ def _check(path: Path, size: tuple[int, int], life: bool, steps: int | None, fps
             require(name, value, interval)
     if path.suffix == ".mp4" and any(length % 2 for length in size):
         raise InputError(f"a video needs an even height and width, not {size[0]} and {size[1]}")
-    if life and path.suffix == ".png":
-        raise InputError("a life is a film, not a sheet: choose .mp4, .gif or .webp")
+    for name, is_given in (("life", life), ("fps", fps is not None)):
+        if is_given and path.suffix == ".png":
+            raise InputError(f"a sheet has no {name}: choose a film, such as .mp4, or leave it out")
     library("mediapy" if path.suffix == ".mp4" else "PIL")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import DEFAULT, Window, require_window
 from earl_jax.report.runs import Columns, Curves, by_method, by_values, read
-from earl_jax.report.scores import seed_scores
+from earl_jax.report.scores import seed_scores, shared_window
 from earl_jax.runs.config import DEPLOYED, RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
@@ -27,7 +27,7 @@ MOST_CAUSES = 5
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:
-    """Return the run folders among `folders`, and those below the others, each once; links to folders are not followed.
+    """Return the run folders among `folders`, and those below the others, each once; links are followed to runs alone.
 
     A `RunWarning` names a folder below them that cannot be read.
 
@@ -55,6 +55,9 @@ def _runs_below(folder: Path) -> Iterator[Path]:
         folders[:] = sorted(set(folders) - {CHECKPOINTS})
         if CONFIG in files or METRICS in files:
             yield Path(path)
+        yield from (
+            link for link in map(Path(path).joinpath, folders) if link.is_symlink() and (link / CONFIG).is_file()
+        )
 
 
 def _warn_of_unread(error: OSError) -> None:
@@ -168,13 +171,15 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     config, folders = parts[0].config, tuple(folder for part in parts for folder in part.runs)
     steps = functools.reduce(np.intersect1d, [part.steps for part in parts])
     if not len(steps):
-        raise InputError(f"runs of {config.algo} have no evaluation step in common")
+        raise InputError(f"{folders[-1].path} and {folders[0].path} have no evaluation step in common")
     metrics = {
         name: np.concatenate([part.metrics[name][:, np.isin(part.steps, steps)] for part in parts])
         for name in parts[0].metrics
         if name in NEEDED or all(name in part.metrics for part in parts)
     }
-    return Curves(config, steps, Columns(folders[0].path, metrics), folders, parts[0].window)
+    has_all = all(len(steps) == (part.steps <= steps[-1]).sum() for part in parts)
+    window = parts[0].window if has_all else shared_window(parts, steps[-1])  # of as many steps as theirs
+    return Curves(config, steps, Columns(folders[0].path, metrics), folders, window)
 
 
 def read_methods(folders: Sequence[Path], window: Window = DEFAULT, metric: str | None = None) -> list[Curves]:

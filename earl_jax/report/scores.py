@@ -1,6 +1,7 @@
 """The scores of runs: those of their seeds, crossings, and the row of a method that tables show."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from earl_jax.metrics import crossings
 from earl_jax.metrics.comparison import band, mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
-from earl_jax.metrics.scores import RATES, SUCCESS, final_scores
+from earl_jax.metrics.scores import RATES, SUCCESS, Window, final_scores
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import published_beside, released_beside
 from earl_jax.report.runs import Curves, options_text
@@ -40,6 +41,18 @@ def seed_scores(curves: Curves, step: int | None = None, metric: str | None = No
             f"{metric} of {curves.label or curves.algo} has no value at some evaluations, so it has no score"
         )
     return final_scores(steps, values, curves.window)
+
+
+def shared_window(runs: Sequence[Curves], step: float = math.inf) -> Window:
+    """Return the window that scores all `runs` up to `step` over as many steps: the longest of theirs.
+
+    A window of `last` evaluations stays as it is.
+    """
+    if runs[0].window.last is not None:
+        return runs[0].window
+    lives = [(run.window, run.steps[run.steps <= step]) for run in runs]
+    span = max(int(steps[-1] - steps[-window.count(steps)]) for window, steps in lives)
+    return Window(steps=span + min(int(np.diff(steps, prepend=0)[-1]) for _, steps in lives))
 
 
 def interval_of(curves: Curves, scores: np.ndarray, metric: str | None = None) -> Estimate:

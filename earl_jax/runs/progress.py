@@ -31,9 +31,9 @@ class Progress:
         self._stream: Any = LastingStream(sys.stderr)
         self._console, self._show = Console(file=self._stream), show
         self._bar = Bar(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
-            TextColumn(f"{metric} {{task.fields[score]}}  {{task.fields[speed]}} steps/s"), TimeRemainingColumn(),
-            console=self._console, disable=not (show and self._console.is_terminal),
+            BarColumn(bar_width=None), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
+            TextColumn(f"{metric.split('/')[-1]} {{task.fields[score]}}  {{task.fields[speed]}} steps/s"), TimeRemainingColumn(),
+            console=self._console, disable=not (show and self._console.is_terminal), expand=True,
         )  # fmt: skip
         self._plain = show and not self._console.is_terminal
         self._task = self._bar.add_task(label, total=steps, score="-", speed="-")
@@ -44,6 +44,8 @@ class Progress:
         self._last_line, self._ended = time.monotonic(), threading.Event()
 
     def __enter__(self) -> "Progress":
+        if not self._bar.disable:
+            self.message(self._bar.tasks[0].description)  # beside the bar, the two need more than 80 columns
         self._bar.start()
         if self._plain:
             threading.Thread(target=self._break_silence, daemon=True).start()

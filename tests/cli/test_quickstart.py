@@ -43,10 +43,10 @@ def test_the_result_is_the_mean_of_the_last_evaluations_and_its_range_is_told(as
 
 @pytest.mark.parametrize(("steps", "every"), [(15_000, 2500), (16_000, 16_000)])
 def test_another_length_has_no_promise(asked, tmp_path, steps, every):
-    out = succeed("quickstart", "--out", tmp_path, "--steps", steps)
+    out = succeed("quickstart", "--out", tmp_path, "--steps", steps, "--overwrite")
     assert "Expect" not in out
     assert f"50 episodes every {every:,} steps" in out
-    assert (asked["steps"], asked["eval_every"]) == (steps, every)
+    assert (asked["steps"], asked["eval_every"], asked["overwrite"]) == (steps, every, True)
 
 
 def test_the_pages_promise_what_the_command_does():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from earl_jax.report.best import best
 from earl_jax.report.comparison import compare, table_text, write_comparison
 from earl_jax.runs.files import RunWarning
 from tests.report.run_files import (
@@ -42,6 +43,21 @@ def test_methods_are_compared_at_the_last_step_that_both_have(folders):
     assert row["p"] == row["p_holm"] == pytest.approx(2 / 252)
     assert row["verdict"] == "below"
     assert 0 < row["detectable"] < abs(row["difference"])
+
+
+def test_scores_are_means_over_the_same_steps_however_often_their_runs_were_evaluated(tmp_path):
+    """The same curve used to score more with more evaluations, since five of them were its last tenth."""
+    for name, algo, every in (("a", "naive", 10), ("b", "fbrl", 2), ("c", "oracle", 4), ("d", "oracle", 10)):
+        steps = range(every, 101, every)
+        write_run(tmp_path / name, TABLETOP, algo, np.outer([1, 1], steps) / 100, steps, [ord(name), ord(name) + 10])
+    rows = compare([tmp_path])
+    assert [(row["first"], row["second"]) for row in rows] == [
+        ("naive", "fbrl"),
+        ("naive", "oracle"),
+        ("fbrl", "oracle"),
+    ]
+    assert {round(row[name], 9) for row in rows for name in ("mean", "other_mean")} == {0.8}
+    assert {round(row["score"], 9) for row in best([tmp_path])} == {0.8}
 
 
 def test_a_pair_without_a_common_step_is_left_out_with_a_warning(folders, tmp_path):

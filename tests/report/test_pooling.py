@@ -69,7 +69,7 @@ def test_runs_are_pooled_over_their_common_steps(tmp_path):
         [run] = read_all(paths[:2])
     np.testing.assert_array_equal(run.steps, [20])
     np.testing.assert_allclose(run.metrics["deployed/success"], [[0.5], [0.0]])
-    with pytest.raises(ValueError, match="no evaluation step in common"):
+    with pytest.raises(ValueError, match=r"c and \S*a have no evaluation step in common"):
         read_all(paths)
 
 
@@ -120,6 +120,12 @@ def test_run_folders_are_found_once_however_they_are_given(tmp_path):
     below = write_run(deep / "e", TABLETOP, "fbrl", rising(1, 1))
     assert find_runs([deep]) == [deep], "a run that is named stands for itself alone"
     assert find_runs([tmp_path]) == [nested, deep, below]
+    (tmp_path / "figure").mkdir()
+    for name, target in (("first", nested), ("again", nested), ("all", tmp_path / "a")):
+        (tmp_path / "figure" / name).symlink_to(target)
+    assert find_runs([tmp_path / "figure"]) == [tmp_path / "figure" / "again"], (
+        "links to runs are followed, each run once"
+    )
 
 
 def test_a_run_that_does_not_fit_is_left_out_of_its_pool(tmp_path):

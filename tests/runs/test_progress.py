@@ -1,6 +1,7 @@
 """Tests of the progress display in piped output: compilation is announced, and nothing is silent for long."""
 
 import io
+import re
 import sys
 from types import SimpleNamespace
 
@@ -70,6 +71,20 @@ def test_silence_is_broken_during_a_compilation_and_during_training(monkeypatch)
         bar.advance(40, 1.0)
         with bar.working("training"):
             assert wait_until(lambda: "\nstep 40/400  training  steps/s 40" in printed.getvalue(), seconds=20)
+
+
+def test_the_bar_shows_steps_speed_and_time_left_in_80_columns(monkeypatch):
+    for name, value in (("TTY_COMPATIBLE", "1"), ("COLUMNS", "80"), ("LINES", "25"), ("TERM", "xterm")):
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys, "stderr", printed := io.StringIO())
+    with Progress(label="fbrl x 50 on dhand_lightbulb", steps=5_000_000, metric="deployed/success", show=True) as bar:
+        bar.advance(1_234_567, 1000.0)
+        bar.report(1_234_567, METRICS)
+    text = printed.getvalue()
+    assert "fbrl x 50 on dhand_lightbulb\n" in text
+    assert re.search(
+        r"━ \S*1,234,567/5,000,000 steps success 0.50  1,235 steps/s \S*-:--:--", text.replace("\x1b[0m", "")
+    )
 
 
 def test_without_show_nothing_is_printed(clock, capsys):

@@ -103,10 +103,14 @@ def stacked(rows: list[tuple]) -> Demos:
 
 
 def save(demos: dict[str, Demos], path: Path) -> None:
-    """Write `demos`, by direction, to `path` as a compressed npz without pickles."""
+    """Write `demos`, by direction, to `path` as a compressed npz without pickles; a full disk leaves an older file."""
     arrays = {f"{name}_{field}": value for name, part in demos.items() for field, value in part._asdict().items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.name}.part")
-    with part.open("wb") as file:  # NumPy would add .npz to another suffix
-        np.savez_compressed(file, **arrays)
-    part.replace(path)  # a full disk leaves the old file
+    try:
+        with part.open("wb") as file:  # NumPy would add .npz to another suffix
+            np.savez_compressed(file, **arrays)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise OSError(f"{path} can't be written: {error.strerror or error}") from error

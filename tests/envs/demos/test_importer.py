@@ -28,11 +28,12 @@ def arrays(episodes=2, length=5, size=14):
     rng = np.random.default_rng(0)
     rows = episodes * length
     ends = (np.arange(rows) % length == length - 1)[:, None]
+    observations = rng.normal(size=(rows + 1, size))
     return {
-        "observations": rng.normal(size=(rows, size)),
+        "observations": observations[:-1],
         "actions": rng.uniform(-1, 1, (rows, 4)),
         "rewards": ends.astype(float),
-        "next_observations": rng.normal(size=(rows, size)),
+        "next_observations": observations[1:],
         "terminals": ends,
     }
 

@@ -54,8 +54,9 @@ def test_a_file_that_cannot_be_written_leaves_the_older_one(tmp_path, monkeypatc
     forward, backward = ({name: assets.demos("sawyer_door", name)} for name in assets.DIRECTIONS)
     demos.save(forward, tmp_path / "mine.npz")
     monkeypatch.setattr(np, "savez_compressed", Mock(side_effect=OSError("disk full")))
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(OSError, match=r"mine\.npz can't be written: disk full"):
         demos.save(backward, tmp_path / "mine.npz")
+    assert [file.name for file in tmp_path.iterdir()] == ["mine.npz"]
     assert assets.demo_directions(str(tmp_path / "mine.npz")) == ("forward",)
 
 
