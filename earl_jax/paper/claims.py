@@ -15,6 +15,7 @@ from earl_jax.report.comparison import UNTESTED, compared_texts, comparison_colu
 from earl_jax.report.paper_rows import table_scores
 from earl_jax.report.published import is_comparable, published_score, released_curves
 from earl_jax.report.runs import Curves, common_step
+from earl_jax.report.scores import over_same_steps
 from earl_jax.report.style import method_title, task_order, task_title
 from earl_jax.report.tables import markdown_table, millions
 
@@ -102,6 +103,7 @@ def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
     first, second = curves[0], curves[-1]
     if first is None or second is None or not (step := common_step(first, second)):
         return {}
+    first, second = over_same_steps((first, second), step)
     scores = table_scores(claim.number, first, step)
     if claim.second:
         return {"steps": step, **comparison_columns(scores, table_scores(claim.number, second, step))}

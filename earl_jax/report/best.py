@@ -15,7 +15,7 @@ from earl_jax.report.comparison import comparison_columns, verdict_text, with_ve
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import FAMILY_RULE
 from earl_jax.report.runs import Curves, options_text
-from earl_jax.report.scores import interval_of, seed_scores, shared_window
+from earl_jax.report.scores import interval_of, over_same_steps, seed_scores
 from earl_jax.report.style import grouped
 from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, number_text, wrapped
 
@@ -64,8 +64,8 @@ def best(
 
 def _ranked(runs: Sequence[Curves], test: Test, metric: str | None) -> list[Row]:
     longest = max(curves.steps[-1] for curves in runs)
-    window = shared_window(runs)
-    pairs = [(curves, seed_scores(curves._replace(window=window), metric=metric)) for curves in runs]
+    scored = (seed_scores(curves, metric=metric) for curves in over_same_steps(runs))
+    pairs = list(zip(runs, scored, strict=True))
     pairs.sort(key=lambda pair: (pair[0].steps[-1] < longest, np.isnan(pair[1].mean()), -pair[1].mean()))
     rows = [_row(rank, curves, scores, metric) for rank, (curves, scores) in enumerate(pairs, 1)]
     leader = pairs[0][1]

@@ -35,7 +35,7 @@ from earl_jax.report.published import (
     share_text,
 )
 from earl_jax.report.runs import Curves, common_step
-from earl_jax.report.scores import interval_of, seed_scores, shared_window
+from earl_jax.report.scores import interval_of, over_same_steps, seed_scores
 from earl_jax.report.style import PICTURES, grouped, method_title, new_figure, reach, save, task_title
 from earl_jax.report.tables import INTERVALS, TABLES, Column, Row, Table, interval_text, millions, number_text, write
 from earl_jax.runs.files import RunWarning, require_suffix
@@ -122,8 +122,7 @@ def pair_row(first: Curves, second: Curves, metric: str | None = None, age: floa
     """Return the comparison of two methods on a task after the share `age` of the steps that both have, p not adjusted."""
     step = common_step(first, second, age)
     assert step is not None
-    window = shared_window((first, second), step)
-    scores, others = (seed_scores(curves._replace(window=window), step, metric) for curves in (first, second))
+    scores, others = (seed_scores(curves, step, metric) for curves in over_same_steps((first, second), step))
     return _row(first, step, scores, second.label, others, metric) | {"age": age}
 
 

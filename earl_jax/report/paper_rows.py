@@ -21,7 +21,7 @@ from earl_jax.report.published import (
     share_text,
 )
 from earl_jax.report.runs import Curves, common_step, options_text
-from earl_jax.report.scores import interval_of, seed_scores
+from earl_jax.report.scores import interval_of, over_same_steps, seed_scores
 from earl_jax.report.style import method_order, task_order
 from earl_jax.report.tables import Row
 
@@ -97,6 +97,7 @@ def _test(number: int, curves: Curves, score: PublishedScore | None) -> Row:
         step = common_step(curves, released)
         if step is None or (number == 2 and CONTINUING not in released.metrics):
             return {}
+        curves, released = over_same_steps((curves, released), step)
         other = table_scores(number, released, step)
     own = table_scores(number, curves, step)
     return {"tested_steps": step, "tested_mean": float(own.mean()), **comparison_columns(own, other, "difference_")}

@@ -13,7 +13,7 @@ import numpy as np
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.scores import DEFAULT, Window, require_window
 from earl_jax.report.runs import Columns, Curves, by_method, by_values, read
-from earl_jax.report.scores import seed_scores, shared_window
+from earl_jax.report.scores import over_same_steps, seed_scores
 from earl_jax.runs.config import DEPLOYED, RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
 from earl_jax.runs.files import RunWarning
@@ -178,7 +178,7 @@ def pooled(parts: Sequence[Curves]) -> Curves:
         if name in NEEDED or all(name in part.metrics for part in parts)
     }
     has_all = all(len(steps) == (part.steps <= steps[-1]).sum() for part in parts)
-    window = parts[0].window if has_all else shared_window(parts, steps[-1])  # of as many steps as theirs
+    window = (parts if has_all else over_same_steps(parts, steps[-1]))[0].window
     return Curves(config, steps, Columns(folders[0].path, metrics), folders, window)
 
 

@@ -43,16 +43,17 @@ def seed_scores(curves: Curves, step: int | None = None, metric: str | None = No
     return final_scores(steps, values, curves.window)
 
 
-def shared_window(runs: Sequence[Curves], step: float = math.inf) -> Window:
-    """Return the window that scores all `runs` up to `step` over as many steps: the longest of theirs.
+def over_same_steps(runs: Sequence[Curves], step: float = math.inf) -> list[Curves]:
+    """Return `runs` with the window that scores all of them up to `step` over as many steps: the longest of theirs.
 
     A window of `last` evaluations stays as it is.
     """
     if runs[0].window.last is not None:
-        return runs[0].window
+        return list(runs)
     lives = [(run.window, run.steps[run.steps <= step]) for run in runs]
     span = max(int(steps[-1] - steps[-window.count(steps)]) for window, steps in lives)
-    return Window(steps=span + min(int(np.diff(steps, prepend=0)[-1]) for _, steps in lives))
+    window = Window(steps=span + min(int(np.diff(steps, prepend=0)[-1]) for _, steps in lives))
+    return [run._replace(window=window) for run in runs]
 
 
 def interval_of(curves: Curves, scores: np.ndarray, metric: str | None = None) -> Estimate:

@@ -27,7 +27,7 @@ def test_runs_are_tested_by_permutations_of_released_seeds_or_by_welch_and_holm(
     csv_file, text_file, _ = ARTEFACTS["table1"].write(write_runs(tmp_path, runs), tmp_path / "out")
     rows = {(row["env"], row["algo"]): row for row in read_csv(csv_file) if row["p"]}
     naive, vaprl, pen = (rows[name] for name in ((TABLETOP, "naive"), (TABLETOP, "vaprl"), (MINITAUR, "naive")))
-    released = assets.released_runs(TABLETOP, "naive")["deployed"][:, 224:249].mean(axis=1)
+    released = assets.released_runs(TABLETOP, "naive")["deployed"][:, 123:249].mean(axis=1)
     exact = stats.permutation_test((0.95 + spread, released), gap, n_resamples=5000, alternative="greater")
     assert numbers(naive, "p", "tested_steps") == pytest.approx([exact.pvalue, 2_500_000])
     for row in (naive, vaprl):
@@ -38,7 +38,7 @@ def test_runs_are_tested_by_permutations_of_released_seeds_or_by_welch_and_holm(
     assert [row["verdict"] for row in (naive, vaprl, pen)] == ["above", "below", "above"]
     text = text_file.read_text()
     assert "/ 0.32 (0.17) / above |" in text
-    assert "| tabletop_organization | vaprl | 2.50M | 0.500 | 0.958 | -0.458 [" in text
+    assert "| tabletop_organization | vaprl | 2.50M | 0.500 | 0.944 | -0.444 [" in text
 
 
 def test_table_2_compares_lifetime_rewards_at_equal_steps(tmp_path):
