@@ -64,8 +64,11 @@ def best(
 
 def _ranked(runs: Sequence[Curves], test: Test, metric: str | None) -> list[Row]:
     longest = max(curves.steps[-1] for curves in runs)
-    scored = (seed_scores(curves, metric=metric) for curves in over_same_steps(runs))
-    pairs = list(zip(runs, scored, strict=True))
+    pairs = [
+        (curves, seed_scores(same, metric=metric))
+        for of_length in grouped(runs, lambda curves: int(curves.steps[-1])).values()
+        for curves, same in zip(of_length, over_same_steps(of_length), strict=True)
+    ]
     pairs.sort(key=lambda pair: (pair[0].steps[-1] < longest, np.isnan(pair[1].mean()), -pair[1].mean()))
     rows = [_row(rank, curves, scores, metric) for rank, (curves, scores) in enumerate(pairs, 1)]
     leader = pairs[0][1]

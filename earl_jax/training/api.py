@@ -94,9 +94,7 @@ def train(
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
     run = Run.resolve(RunConfig.from_objects(task, method, rules, seed_list(seeds), schedule), task, method, rules)
     plan = plan_runs([run], devices)
-    trace(
-        plan, [run]
-    )  # before the folder: an impossible plan or an error in a function neither makes nor overwrites one
+    trace(plan, [run])  # an impossible plan or an error in a function neither creates a folder nor overwrites one
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)
