@@ -1,6 +1,7 @@
 """Two-sample comparisons of scores over seeds: Welch's test, the permutation test, Holm's correction, detectable differences.
 
 Sources: Welch 1947, "The generalization of Student's problem when several different population variances are involved";
+Janssen 1997, "Studentized permutation tests for non-i.i.d. hypotheses and the generalized Behrens-Fisher problem";
 Holm 1979, "A simple sequentially rejective multiple test procedure".
 """
 
@@ -133,9 +134,9 @@ def welch(sample: Sample, other: Sample) -> Comparison:
 def permutation(scores: np.ndarray, others: np.ndarray) -> Comparison:
     """Return mean(`scores`) minus mean(`others`) of independent seeds, [seeds] each, with p of the permutation test.
 
-    All splits of the seeds are enumerated, or 20,000 drawn if there are more. The interval is Welch's. There is no p if a
-    score is not finite. A split whose difference is that of the scores up to `ROUNDING` of the seeds that change sides
-    counts as equal.
+    All splits of the seeds are enumerated, or 20,000 drawn if there are more. They are compared by Welch's t (Janssen 1997):
+    by the difference alone, a side with fewer seeds and a larger spread would be told apart too often. The interval is
+    Welch's. There is no p if a score is not finite.
     """
     result = welch(Sample.of(scores), Sample.of(others))
     if min(len(scores), len(others)) < 2 or not math.isfinite(result.difference):
@@ -143,9 +144,33 @@ def permutation(scores: np.ndarray, others: np.ndarray) -> Comparison:
     pooled = np.concatenate([np.asarray(scores, float), np.asarray(others, float)])
     weights, drawn = _splits(len(scores), len(others))
     own = np.repeat([1 / len(scores), -1 / len(others)], [len(scores), len(others)])
+    if len(scores) == len(others):
+        extreme = _larger_differences(weights, own, pooled)
+    else:
+        extreme = _squared_t(weights, pooled) >= (1 - ROUNDING) * _squared_t(own[None], pooled)
+    return result._replace(p=float((extreme.sum() + drawn) / (len(weights) + drawn)))
+
+
+def _larger_differences(weights: np.ndarray, own: np.ndarray, pooled: np.ndarray) -> np.ndarray:
+    """Return for each split whether its difference is at least that of `own`, as Welch's t then is with equal sides, bool [k].
+
+    A difference that is equal up to `ROUNDING` of the seeds that change sides counts as equal.
+    """
     changed = weights * np.sign(weights @ pooled)[:, None] - own * np.sign(own @ pooled)
-    extreme = np.sum(changed @ pooled >= -ROUNDING * (np.abs(changed) @ np.abs(pooled)))
-    return result._replace(p=float((extreme + drawn) / (len(weights) + drawn)))
+    return changed @ pooled >= -ROUNDING * (np.abs(changed) @ np.abs(pooled))
+
+
+def _squared_t(weights: np.ndarray, pooled: np.ndarray) -> np.ndarray:
+    """Return the square of Welch's t of each split [k], infinite for sides without a spread, 0 for sides of the same mean."""
+    rounding, centred = ROUNDING * np.abs(pooled).max(), pooled - pooled.mean()
+    error = np.zeros(len(weights))
+    for side in (weights > 0, weights < 0):
+        seeds = side.sum(axis=1)
+        variance = (side @ centred**2 - (side @ centred) ** 2 / seeds) / (seeds - 1)
+        error += np.where(variance > rounding**2, variance, 0.0) / seeds
+    difference = np.abs(weights @ centred)
+    with np.errstate(divide="ignore"):
+        return np.divide(difference**2, error, out=np.zeros_like(error), where=difference > rounding)
 
 
 def smallest_p(seeds: int, others: int) -> float:
@@ -172,12 +197,16 @@ def detectable_difference(sample: Sample, other: Sample) -> float:
     return error * optimize.root_scalar(missing_power, bracket=(0.0, 100.0)).root
 
 
-def holm(values: Sequence[float]) -> np.ndarray:
-    """Return Holm's adjusted p [k] of the p `values [k]` of one family; those that are nan do not count and stay nan."""
+def holm(values: Sequence[float], tests: int = 0) -> np.ndarray:
+    """Return Holm's adjusted p [k] of the p `values [k]` of one family; those that are nan do not count and stay nan.
+
+    A family of more `tests` has others, whose p are larger.
+    """
     p = np.asarray(values, float)
     order = np.argsort(p)[: np.count_nonzero(~np.isnan(p))]  # nan sorts last
     adjusted = np.full(len(p), math.nan)
-    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)))
+    factors = max(tests, len(order)) - np.arange(len(order))
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * factors))
     return adjusted
 
 

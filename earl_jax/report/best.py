@@ -32,9 +32,9 @@ COLUMNS: tuple[Column, ...] = (
 )
 TIED = "tied"
 RULE = (
-    "Score: mean over seeds and over {window}. {intervals} Each run is compared with the best of its task by {test}. "
-    f"{FAMILY_RULE.format(family='the comparisons with the best')} Runs that are shorter than the longest of the task are listed "
-    "after the others and not compared."
+    "Score: mean over seeds and over {window}. Runs of one length are scored over as many steps. {intervals} Each run is "
+    f"compared with the best of its task by {{test}}. {FAMILY_RULE.format(family='all pairs, since the scores chose the best')} "
+    "Runs that are shorter than the longest of the task are listed after the others and not compared."
 )
 TESTS = {"permutation": "the permutation test (interval: Welch's)", "welch": "Welch's test"}
 OPTIMISM = (
@@ -79,9 +79,9 @@ def _ranked(runs: Sequence[Curves], test: Test, metric: str | None) -> list[Row]
         row |= {name: value for name, value in columns.items() if name in row}
         least = smallest_p(len(leader), len(scores)) if test == "permutation" else 0.0  # Welch's p has no limit
         row["least_p"] = least if min(len(leader), len(scores)) > 1 else math.nan
-    family = sum(not math.isnan(row["p"]) for row, _ in tested)
-    for row in with_verdicts([row for row, _ in tested]):
-        row["least_p"] = min(row["least_p"] * family, 1.0)  # nan stays
+    pairs_tested = math.comb(1 + sum(not math.isnan(row["p"]) for row, _ in tested), 2)
+    for row in with_verdicts([row for row, _ in tested], tests=pairs_tested):
+        row["least_p"] = min(row["least_p"] * pairs_tested, 1.0)  # nan stays
         row["verdict"] = {"above": "below"}.get(row["verdict"], row["verdict"])
     tied = [row for row in rows if row["steps"] == longest and row["score"] == rows[0]["score"]]
     for row in tied:

@@ -49,8 +49,8 @@ LETTERS = 36
 AGES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the steps that a run and the released ones have in common, at which they are compared."""
 RULE = (
-    f"The score of a seed is its mean over {{window}}, up to the same step. {INTERVALS} Those of differences are Welch's. p: the "
-    f"permutation test between runs. {FAMILY_RULE.format(family='the comparisons at an age')}"
+    f"The score of a seed is its mean over {{window}}, of as many steps on both sides. {INTERVALS} Those of differences are "
+    f"Welch's. p: the permutation test between runs. {FAMILY_RULE.format(family='the comparisons at an age')}"
 )
 COLUMNS: tuple[Column, ...] = (
     ("task", lambda row: row["env"]),
@@ -106,13 +106,13 @@ def _cause_apart(first: Curves, second: Curves, metric: str | None) -> str:
     return "" if common_step(first, second) else "one ends before the other's first evaluation"
 
 
-def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age")) -> list[Row]:
+def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age"), tests: int = 0) -> list[Row]:
     """Return `rows` with p adjusted by Holm over those of the same `family`, and the verdict of those that have none yet.
 
-    By default a family has the comparisons of a task at the same age.
+    By default a family has the comparisons of a task at the same age. It has at least so many `tests`.
     """
     for members in grouped(rows, lambda row: tuple(row.get(name) for name in family)).values():
-        for row, adjusted in zip(members, holm([row["p"] for row in members]), strict=True):
+        for row, adjusted in zip(members, holm([row["p"] for row in members], tests), strict=True):
             row["p_holm"] = float(adjusted)
             row["verdict"] = row["verdict"] or verdict_of(row["difference"], row["p_holm"])
     return rows

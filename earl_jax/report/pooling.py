@@ -102,6 +102,7 @@ def gather(
         raise InputError(causes[0] if len(causes) == 1 else text)
     for key, parts in pools.items():
         _warn_if_shortened(runs[key], parts)
+        runs[key] = _over_steps_of(parts, runs[key])
     return list(map(_once, runs.values())), left_out
 
 
@@ -129,6 +130,12 @@ def _once(run: Curves) -> Curves:
     rows = [np.equal(seeds, seed) for seed in dict.fromkeys(seeds)]
     means = {name: np.stack([values[row].mean(axis=0) for row in rows]) for name, values in run.metrics.items()}
     return run._replace(metrics=Columns(run.runs[0].path, means))
+
+
+def _over_steps_of(parts: Sequence[Curves], run: Curves) -> Curves:
+    """Return the `run` that is pooled of `parts`, scored over as many steps as they are, though it has fewer evaluations."""
+    has_all = all(len(run.steps) == (part.steps <= run.steps[-1]).sum() for part in parts)
+    return run if has_all else run._replace(window=over_same_steps(parts, run.steps[-1])[0].window)
 
 
 def _warn_if_shortened(run: Curves, parts: Sequence[Curves]) -> None:
@@ -177,9 +184,7 @@ def pooled(parts: Sequence[Curves]) -> Curves:
         for name in parts[0].metrics
         if name in NEEDED or all(name in part.metrics for part in parts)
     }
-    has_all = all(len(steps) == (part.steps <= steps[-1]).sum() for part in parts)
-    window = (parts if has_all else over_same_steps(parts, steps[-1]))[0].window
-    return Curves(config, steps, Columns(folders[0].path, metrics), folders, window)
+    return Curves(config, steps, Columns(folders[0].path, metrics), folders, parts[0].window)
 
 
 def read_methods(folders: Sequence[Path], window: Window = DEFAULT, metric: str | None = None) -> list[Curves]:

@@ -167,9 +167,13 @@ def _warn_of_values(curves: Curves) -> None:
 
 
 def common_step(first: Curves, second: Curves, share: float = 1.0) -> int | None:
-    """Return the step after a share of those up to which both have evaluations; None before the first evaluation of one."""
-    step = int(share * min(first.steps[-1], second.steps[-1]))
-    return step if step >= max(first.steps[0], second.steps[0]) else None
+    """Return the last step, up to a `share` of those that both have, at which the run with rarer evaluations has one.
+
+    It is None before the first evaluation of one.
+    """
+    rarer = max((first, second), key=lambda curves: np.diff(curves.steps, prepend=0)[-1])
+    steps = rarer.steps[rarer.steps <= int(share * min(first.steps[-1], second.steps[-1]))]
+    return int(steps[-1]) if len(steps) and steps[-1] >= max(first.steps[0], second.steps[0]) else None
 
 
 def labels(runs: Sequence[Curves]) -> list[str]:

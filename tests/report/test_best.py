@@ -34,8 +34,8 @@ def test_runs_are_ranked_and_tested_against_the_best(tmp_path):
     ]
     tests = [permutation(np.array(GOOD), np.array(other)).p for other in (CLOSE, BAD)]
     assert [row["p"] for row in rows[1:]] == tests
-    assert [row["p_holm"] for row in rows[1:]] == holm(tests).tolist()
-    assert rows[2]["least_p"] == pytest.approx(2 * 2 / math.comb(10, 5))
+    assert [row["p_holm"] for row in rows[1:]] == holm(tests, tests=3).tolist()
+    assert rows[2]["least_p"] == pytest.approx(3 * 2 / math.comb(10, 5)), "of three pairs, of which the best chose two"
     assert rows[0]["score"] == pytest.approx(0.9)
     assert (rows[0]["low"], rows[0]["high"]) == mean_interval(np.array(GOOD), rate=True)[1:]
 
@@ -65,7 +65,9 @@ def test_verdicts_and_tests_that_count_in_the_family_are_those_of_runs_with_a_p(
     assert ", ".join(row["verdict"] for row in rows) == verdicts
     assert text in best_text(rows)
     tested = [row for row in rows if not math.isnan(row["p"])]
-    assert [row["p_holm"] for row in tested] == holm([row["p"] for row in tested]).tolist()
+    assert [row["p_holm"] for row in tested] == holm(
+        [row["p"] for row in tested], math.comb(1 + len(tested), 2)
+    ).tolist()
     assert all(row["least_p"] <= row["p_holm"] for row in tested)
 
 
@@ -115,7 +117,7 @@ def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     few = best([write_cells(tmp_path, good=GOOD[:2], bad=BAD[:2], close=CLOSE[:2])])
     text = best_text(few)
     assert "Of 2 others of the same length, 2 cannot be told from the best: rank 2, 3." in text
-    assert "the smallest adjusted p of so many permutation tests is 0.67" in text
+    assert "the smallest adjusted p of so many permutation tests is 1." in text
     assert "| 1 | naive (reward_scale=1) | 2 | 20 | 0.825 |" in text
     welch = best_text(best([tmp_path], "welch"), "welch")
     assert "None could be" not in welch

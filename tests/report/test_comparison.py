@@ -58,6 +58,9 @@ def test_scores_are_means_over_the_same_steps_however_often_their_runs_were_eval
     ]
     assert {round(row[name], 9) for row in rows for name in ("mean", "other_mean")} == {0.8}
     assert {round(row["score"], 9) for row in best([tmp_path])} == {0.8}
+    write_run(tmp_path / "rare" / "e", TABLETOP, "risc", np.outer([1, 1], range(3, 100, 3)) / 100, range(3, 100, 3))
+    [row] = compare([tmp_path / "a", tmp_path / "rare"])
+    assert (row["steps"], row["mean"], row["other_mean"]) == (90, pytest.approx(0.7), pytest.approx(0.69))
 
 
 def test_a_pair_without_a_common_step_is_left_out_with_a_warning(folders, tmp_path):

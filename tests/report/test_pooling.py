@@ -1,7 +1,9 @@
 """Runs found in folders, and the pools of their seeds."""
 
+import itertools
 import os
 import shutil
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +73,23 @@ def test_runs_are_pooled_over_their_common_steps(tmp_path):
     np.testing.assert_allclose(run.metrics["deployed/success"], [[0.5], [0.0]])
     with pytest.raises(ValueError, match=r"c and \S*a have no evaluation step in common"):
         read_all(paths)
+
+
+def test_the_score_of_a_pool_does_not_depend_on_the_order_of_its_runs(tmp_path):
+    paths = [
+        write_run(
+            tmp_path / str(seed),
+            TABLETOP,
+            "naive",
+            [np.arange(every, end + 1, every) / end],
+            range(every, end + 1, every),
+            [seed],
+        )
+        for seed, (every, end) in enumerate(((1, 100), (1, 10), (2, 100)))
+    ]
+    with warnings.catch_warnings(action="ignore"):
+        pools = [read_all(order) for order in itertools.permutations(paths)]
+    assert len({run.window for [run] in pools}) == 1
 
 
 def test_a_folder_that_cannot_be_read_is_named(tmp_path, monkeypatch):
