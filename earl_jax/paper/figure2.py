@@ -4,6 +4,7 @@ Source: Sharma et al. 2022, figure 2. The biased update treats every time-out as
 the first version of SAC, ours the second.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,9 +20,10 @@ from earl_jax.metrics.scores import final_scores
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row
 from earl_jax.report import style
-from earl_jax.report.comparison import compared_texts, comparison_columns, with_verdicts
+from earl_jax.report.comparison import UNTESTED, compared_texts, comparison_columns, with_verdicts
 from earl_jax.report.pooling import read_all
-from earl_jax.report.runs import Curves
+from earl_jax.report.runs import Curves, common_step
+from earl_jax.report.scores import over_same_steps
 from earl_jax.report.tables import interval_text, markdown_table, steps_text
 from earl_jax.runs.config import RunConfig
 
@@ -63,10 +65,10 @@ class Point(NamedTuple):
         """The deployed returns [seeds, E]."""
         return self.run.metrics["deployed/return"]
 
-    @property
-    def scores(self) -> np.ndarray:
-        """The final returns [seeds], by the default `Window`."""
-        return final_scores(self.run.steps, self.returns)
+    def scores(self, step: float = math.inf) -> np.ndarray:
+        """Return the final returns [seeds] up to `step`, by the window of the run."""
+        until = self.run.steps <= step
+        return final_scores(self.run.steps[until], self.returns[:, until], self.run.window)
 
     def row(self, scores: np.ndarray, **columns: int) -> Row:
         """Return the row of `scores [seeds]`, with further `columns` before their mean."""
@@ -100,7 +102,7 @@ def report(folders: Sequence[Path]) -> Report:
     """
     arms = _arms(read_all(folders))
     points = [point for arm in arms.values() for point in arm]
-    rows = [point.row(point.scores, steps=int(point.run.steps[-1]), seeds=len(point.scores)) for point in points]
+    rows = [point.row(point.scores(), steps=int(point.run.steps[-1]), seeds=point.run.seeds) for point in points]
     curves = [
         point.row(scores, step=step)
         for point in points
@@ -187,8 +189,13 @@ def effects(arms: Arms) -> list[Row]:
 
 
 def _test(first: Point, second: Point) -> Row:
-    """Return the columns of Welch's test of the scores of two points; three seeds have no significant permutation."""
-    return comparison_columns(Sample.of(first.scores), Sample.of(second.scores))
+    """Return the columns of Welch's test of two points over the same steps; three seeds have no significant permutation."""
+    step = common_step(first.run, second.run)
+    if not step:
+        return {**UNTESTED, "verdict": MISSING}
+    runs = over_same_steps((first.run, second.run), step)
+    own, other = (point._replace(run=run).scores(step) for point, run in zip((first, second), runs, strict=True))
+    return comparison_columns(Sample.of(own), Sample.of(other))
 
 
 def verdict(finding: str, effect: str, published: str | None) -> str:
@@ -207,7 +214,7 @@ def _returns(arms: Arms) -> str:
     horizons = sorted({*HORIZONS, *(point.horizon for arm in arms.values() for point in arm)})
     lines = []
     for (env, update), arm in arms.items():
-        scores = {point.horizon: point.scores for point in arm}
+        scores = {point.horizon: point.scores() for point in arm}
         texts = {h: f"{interval_text(*mean_interval(own), '.1f')} ({len(own)})" for h, own in scores.items()}
         lines.append([env, UPDATES[update], *(texts.get(horizon, MISSING) for horizon in horizons)])
     return markdown_table(["task", "update", *(f"{horizon:,}" for horizon in horizons)], lines)
@@ -272,7 +279,7 @@ def _draw_final(axis: Any, env: str, arms: Arms) -> None:
     """Draw a task's final returns, moved sideways a little so that the intervals of both updates can be seen."""
     for update, name in UPDATES.items():
         arm, (colour, marks) = arms[env, update], PLOT_STYLES[update]
-        estimate = Estimate(*np.reshape([mean_interval(point.scores) for point in arm], (-1, 3)).T)
+        estimate = Estimate(*np.reshape([mean_interval(point.scores()) for point in arm], (-1, 3)).T)
         x = [point.horizon * (1.03 if update else 0.97) for point in arm]
         axis.errorbar(
             x, estimate.value, style.reach(estimate), fmt=marks, color=colour, label=name, capsize=3, markersize=5

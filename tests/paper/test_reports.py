@@ -3,6 +3,7 @@
 import math
 import warnings
 
+import numpy as np
 import pytest
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
@@ -16,7 +17,7 @@ from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import INTERVAL_RULE
 from earl_jax.report.scores import crossings_beside
 from earl_jax.report.style import COLOURS
-from tests.paper.written_runs import CHEETAH, FISH, RUNS, SCORES, lifetimes, numbers, rewards, write_runs
+from tests.paper.written_runs import CHEETAH, FISH, LONG, RUNS, SCORES, SHORT, lifetimes, numbers, rewards, write_runs
 from tests.report.run_files import KITCHEN, TABLETOP, constant, count_pixels, read_csv
 
 
@@ -191,6 +192,15 @@ def test_runs_that_do_not_belong_to_a_figure_are_refused(tmp_path, case):
     runs = [(env, algo, [[0.0, 1.0]], {"metrics": {"interventions": 1}, **own}) for own in options]
     with pytest.raises(ValueError, match=message):
         ARTEFACTS[name].report(write_runs(tmp_path, runs))
+
+
+def test_points_of_figure_2_are_tested_over_the_same_steps_and_not_without_any(tmp_path):
+    """The run with a longer horizon improves after the shorter one has ended."""
+    later, seeds = [[0.0] * 10 + [600.0] * 10] * 3, np.arange(3)[:, None]
+    for steps, tested in ((range(10, 110, 10), "| 500.0 ["), ((5,), "| - | - | - | - | restored | - |")):
+        ages = [(SHORT, np.full((3, len(steps)), 500.0), {"steps": steps}), (LONG, later, {})]
+        runs = [(CHEETAH, "naive", scores + seeds, {"env_options": task, **own}) for task, scores, own in ages]
+        assert tested in ARTEFACTS["figure2"].report(write_runs(tmp_path / str(len(steps)), runs)).parts["findings"]
 
 
 def test_the_trade_off_of_a_dense_reward_is_drawn_as_returns(tmp_path):
