@@ -16,7 +16,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics import visitation
 from earl_jax.metrics.comparison import LEVEL, Sample
 from earl_jax.paper.artefact import Artefact, Report, Row, column, grouped, mean_text, runs_of
-from earl_jax.report.comparison import compared_texts, comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.comparison import UNTESTED, compared_texts, comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.style import COLOURS, legend_below, method_order, method_title, new_figure, task_order, task_title
 from earl_jax.report.tables import markdown_table
 from earl_jax.runs.folder import RunFolder
@@ -38,6 +38,8 @@ GOAL_RADIUS = {"sawyer_peg": 0.12}
 """Distance in metres of a visit to a goal that counts as near, by task (ours): the block reaches 0.1 m from its middle."""
 MEASURES = ("distance", "corners", "near_goal", *visitation.MEASURES)
 MISSING = "-"
+UNEQUAL = "not tested: the runs end at different steps"
+"""The verdict where they do: a run has the map of its end alone."""
 WORDS = {"above": "as published", "below": "opposite to published"}
 PLACES = "#D55E00"
 PAIR = ("oracle", "fbrl")
@@ -137,13 +139,16 @@ def verdicts(rows: Sequence[Row]) -> list[Row]:
         if all((env, algo) in seeds for algo in METHODS):
             fbrl, oracle = (column(seeds[env, algo], measure) for algo in METHODS)
             row = {"env": env, "measure": measure, "fbrl": fbrl.mean(), "oracle": oracle.mean()}
-            results.append({**row, **comparison_columns(Sample.of(fbrl), Sample.of(oracle))})
+            ends = {column(seeds[env, algo], "steps").max() for algo in METHODS}  # a seed with faults has fewer visits
+            unequal = {**UNTESTED, "verdict": UNEQUAL}
+            tested = comparison_columns(Sample.of(fbrl), Sample.of(oracle)) if len(ends) == 1 else unequal
+            results.append({**row, **tested})
     return with_verdicts(results, family=("env",))
 
 
 def word(row: Row) -> str:
     """Return the verdict on the test of a claim, or the sign alone where it has no test."""
-    if math.isnan(row["p_holm"]) and row["difference"] != 0:
+    if math.isnan(row["p_holm"]) and abs(row["difference"]) > 0:
         return f"{WORDS['above' if row['difference'] > 0 else 'below']}, not tested"
     return verdict_text(row, words=WORDS)
 

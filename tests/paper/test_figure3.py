@@ -60,6 +60,14 @@ def test_a_verdict_needs_a_clear_difference(fbrl, oracle, expected):
     assert word(claims_of(*pen_maps(fbrl, oracle))["distance"]) == expected
 
 
+def test_runs_that_end_at_different_steps_are_not_tested():
+    oracle, fbrl = pen_maps([(0, 3), (1, 3), (0, 3)], [(0, 0), (2, 0), (2, 0)])
+    fault = fbrl._replace(visits=np.concatenate([fbrl.visits, fbrl.visits[:1] // 2]))
+    assert word(claims_of(oracle, fault)["distance"]) == "as published"
+    longer = report_of([oracle._replace(visits=2 * oracle.visits), fbrl]).parts["verdicts"]
+    assert longer.endswith("| - | - | - | not tested: the runs end at different steps |")
+
+
 def test_the_difference_is_the_oracles_share_minus_the_others_above_a_threshold():
     oracle, fbrl = pen_maps([(0, 3), (0, 3)], [(0, 0), (2, 0)])
     expected = np.zeros((4, 4))
