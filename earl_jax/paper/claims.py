@@ -59,6 +59,7 @@ HEADER = (
     "claim", "task", "comparison", "published", "adjusted p", "verdict", "ours", "steps", "adjusted p", "verdict",
 )  # fmt: skip
 NOT_RUN = "not run"
+TOO_SHORT = "not tested: the beginning and end overlap"
 WORDS = {"above": "as the text says", "below": "opposite to the text"}
 PROGRESS = {"above": "progress", "below": "decline", CANNOT_TELL: "no progress found"}
 CLAIM_RULE = (
@@ -85,8 +86,8 @@ def claims_text(number: int, runs: Sequence[Curves]) -> str:
 
 
 def claim_rows(number: int, runs: Sequence[Curves] | None = None) -> list[Row]:
-    """Return a row for each of `CLAIMS` about a table, tested with the first runs of each method, or with the published ones."""
-    first = {(curves.env, curves.algo): curves for curves in reversed(runs or ()) if is_comparable(curves)}
+    """Return a row for each of `CLAIMS` about a table, tested with the first `_comparable` runs, or the published."""
+    first = {(curves.env, curves.algo): curves for curves in reversed(_comparable(runs or ()))}
     rows = []
     for claim in (claim for claim in CLAIMS if claim.number == number):
         names = [(claim.env, algo) for algo in (claim.first, claim.second) if algo]
@@ -98,6 +99,11 @@ def claim_rows(number: int, runs: Sequence[Curves] | None = None) -> list[Row]:
     return with_verdicts(rows, family=("text", "env"))
 
 
+def _comparable(runs: Sequence[Curves]) -> list[Curves]:
+    """Return those of `runs` that can be compared with the paper's, the ones with the defaults first."""
+    return sorted(filter(is_comparable, runs), key=lambda curves: bool(curves.options))
+
+
 def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
     """Return the columns of the test of a claim by the runs of its methods; {} without one of them."""
     first, second = curves[0], curves[-1]
@@ -107,7 +113,10 @@ def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
     scores = table_scores(claim.number, first, step)
     if claim.second:
         return {"steps": step, **comparison_columns(scores, table_scores(claim.number, second, step))}
-    beginning = first.metrics[first.deployed_metric][:, : first.window.count(first.steps)].mean(axis=1)
+    count = first.window.count(first.steps)
+    if len(first.steps) < 2 * count:
+        return {"steps": step, "verdict": TOO_SHORT}
+    beginning = first.metrics[first.deployed_metric][:, :count].mean(axis=1)
     none = Sample(0.0, 0.0, len(scores))
     return {"steps": step, **comparison_columns(Sample.of(scores - beginning), none)}
 
@@ -175,7 +184,6 @@ def _published() -> Iterator[tuple[str, str, float, float]]:
 
 def _ours(runs: Sequence[Curves]) -> Iterator[tuple[str, str, float, float]]:
     """Yield the mean scores of the runs that can be compared with the paper's."""
-    for curves in runs:
-        if is_comparable(curves):
-            deployed, continuing = (float(table_scores(number, curves).mean()) for number in (1, 2))
-            yield curves.env, curves.algo, deployed, continuing
+    for curves in _comparable(runs):
+        deployed, continuing = (float(table_scores(number, curves).mean()) for number in (1, 2))
+        yield curves.env, curves.algo, deployed, continuing

@@ -63,6 +63,24 @@ def test_our_runs_are_tested_by_the_same_claims(tmp_path):
     assert "| - | - | - | not run |" in claims_text(1, groups)
 
 
+def test_a_run_whose_beginning_and_end_overlap_has_no_test_of_progress(tmp_path):
+    run = (PEG, "fbrl", np.tile([0.0] * 4 + [1.0] * 5, (5, 1)), rewards(0.1))
+    [row] = [row for row in claim_rows(1, read_methods(write_runs(tmp_path, [run]))) if row["steps"]]
+    assert (word(row), math.isnan(row["p"])) == ("not tested: the beginning and end overlap", True)
+
+
+def test_claims_are_about_the_defaults_of_a_method_then_about_the_first_run(tmp_path):
+    """The means of the oracle at a reward scale of 2, at the default 10 and at 3 differ."""
+    variants = [(0.1, {"reward_scale": 2.0}), (0.6, {}), (0.2, {"reward_scale": 3.0})]
+    runs = [(TABLETOP, "vaprl", constant(0.9), rewards(0.3))]
+    runs += [(TABLETOP, "oracle", constant(score), rewards(score, **options)) for score, options in variants]
+    groups = read_methods(write_runs(tmp_path, runs))
+    assert [claim_rows(1, order)[0]["other_mean"] for order in (groups, [*groups[:2], groups[3]])] == [0.6, 0.1]
+    naive = [(TABLETOP, "naive", *run[2:]) for run in runs[1:]]
+    behind = [(TABLETOP, "fbrl", constant(0.5), rewards(0.5))]
+    assert "naive RL is the best on 1 of 1" in counted(read_methods(write_runs(tmp_path / "naive", naive + behind)))
+
+
 def test_a_claim_needs_two_methods_on_a_task_and_ties_are_no_change_of_order(tmp_path):
     runs = write_runs(tmp_path, [(DOOR, "fbrl", constant(0.5), rewards(0.1))])
     assert "In our runs no task has two methods to compare." in counted(read_methods(runs))
