@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, POWER, mean_interval
+from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, POWER, SPLITS, mean_interval
 from earl_jax.metrics.scores import SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
@@ -22,7 +22,7 @@ from earl_jax.report import style
 from earl_jax.report.comparison import with_verdicts
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves
-from earl_jax.report.scores import seed_scores
+from earl_jax.report.scores import over_same_steps, seed_scores
 from earl_jax.report.tables import markdown_table, number_text
 
 TASKS = ("tabletop_organization", "sawyer_door")
@@ -39,10 +39,10 @@ KINDS = {"epsilon": ("at random", "o-"), "budget": ("on request", "s--")}
 """The two ways in which interventions are given: what the picture calls them, and their lines."""
 SPENT = ("interventions", "help/asked", "help/enforced")
 """The metrics whose sum is the number of interventions spent."""
-WORDS = {"above": "help", "below": "hurt"}
-"""What more interventions do, by the verdict on the correlation."""
+WORDS = {"above": "helps", "below": "hurts"}
+"""What a larger epsilon or budget does, by the verdict on the correlation."""
 Lines = dict[tuple[Any, ...], list[list[Row]]]
-"""By task, method and kind: the rows of each value, from the fewest to the most interventions."""
+"""By task, method and kind: the rows of each value, the smallest first."""
 
 
 def blocks(env: str) -> list[Block]:
@@ -59,10 +59,7 @@ def report(folders: Sequence[Path]) -> Report:
     """
     runs = read_all(folders)
     rows, metrics = seed_rows(runs), {run.config.env: run.deployed_metric for run in runs}
-    lines = {
-        name: sorted(grouped(line, "value").values(), key=lambda seeds: column(seeds, "interventions").mean())
-        for name, line in grouped(rows, *LINE).items()
-    }
+    lines = {name: list(grouped(line, "value").values()) for name, line in grouped(rows, *LINE).items()}
     return Report(
         {"points": _points_table(rows), "findings": _findings_table(lines), "level": str(LEVEL)},
         _draw(lines, metrics),
@@ -71,7 +68,7 @@ def report(folders: Sequence[Path]) -> Report:
 
 
 def seed_rows(runs: Sequence[Curves]) -> list[Row]:
-    """Return a row per seed, by task, method, kind and value; the runs of one line at the last step that all have.
+    """Return a row per seed, by task, method, kind and value; the runs of one line over the same steps, up to the last of all.
 
     Raises:
         ValueError: two runs of one value differ in other options, or a run ends before the first evaluation of another.
@@ -87,10 +84,12 @@ def seed_rows(runs: Sequence[Curves]) -> list[Row]:
         line[value] = run
     envs, algos = style.task_order(env for env, _, _ in lines), style.method_order(algo for _, algo, _ in lines)
     rows = []
-    for name in [(env, algo, kind) for env in envs for algo in algos for kind in KINDS]:
-        line = sorted(lines.get(name, {}).items())
-        last = min((int(run.steps[-1]) for _, run in line), default=0)
-        for value, run in line:
+    for name in [name for name in itertools.product(envs, algos, KINDS) if name in lines]:
+        values, line = zip(*sorted(lines[name].items()), strict=True)
+        last = min(int(run.steps[-1]) for run in line)
+        for run in line:
+            seed_scores(run, last)  # its error names a run without an evaluation so early
+        for value, run in zip(values, over_same_steps(line, last), strict=True):
             rows += _rows({**dict(zip(LINE, name, strict=True)), "value": value}, run, last)
     return rows
 
@@ -113,11 +112,17 @@ def _rows(key: Row, run: Curves, last: int) -> list[Row]:
 
 
 def finding(rows: Sequence[Row]) -> Row:
-    """Return Spearman's test of final scores by the interventions of one line, before `with_verdicts`; nan if one is constant."""
-    final, spent = column(rows, "final"), column(rows, "interventions")
+    """Return Spearman's correlation of final scores with the values of one line, before `with_verdicts`; nan if one is constant.
+
+    p is that of the permutation test: of all pairings of scores and values, or of `SPLITS` drawn ones if there are more.
+    """
+    final, value = (stats.rankdata(column(rows, name)) for name in ("final", "value"))
     correlation = p = math.nan
-    if np.ptp(final) and np.ptp(spent):
-        result: Any = stats.spearmanr(spent, final)  # its stubs know no attributes
+    if np.ptp(final) > 0 and np.ptp(value) > 0:
+        final, value = stats.zscore(final), stats.zscore(value)
+        result = stats.permutation_test(
+            (value,), lambda own, axis: (own * final).mean(axis), permutation_type="pairings", n_resamples=SPLITS, rng=0
+        )
         correlation, p = float(result.statistic), float(result.pvalue)
     return {"env": rows[0]["env"], "difference": correlation, "p": p, "verdict": ""}
 
@@ -149,7 +154,7 @@ def _findings_table(lines: Lines) -> str:
         found = CANNOT_TELL + (f"; {_detectable(seeds):.2f} would be found" if seeds > 3 else ": fewer than four seeds")
         rows.append([*name, *ends, number_text(test["difference"], ".3f"), *p_texts, WORDS.get(test["verdict"], found)])
     header = ["task", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
-    return markdown_table([*header, "more interventions"], rows)
+    return markdown_table([*header, "a larger value"], rows)
 
 
 def _detectable(seeds: int) -> float:
