@@ -17,7 +17,15 @@ from earl_jax.report.paper_rows import CONTINUING, table_scores
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import published_beside, released_beside
 from earl_jax.report.runs import Curves, common_step, options_text
-from earl_jax.report.scores import LEVELS, crossings_beside, interval_of, level_crossings, seed_scores, trailing
+from earl_jax.report.scores import (
+    LEVELS,
+    crossings_beside,
+    interval_of,
+    level_crossings,
+    over_same_steps,
+    seed_scores,
+    trailing,
+)
 from earl_jax.report.tables import markdown_table, millions, step_interval
 
 SMOOTH = " (trailing 10)"
@@ -70,11 +78,12 @@ def _line(curves: Curves) -> list[str]:
 
 
 def _released_text(number: int, curves: Curves, digits: int) -> str:
-    """Return the mean score of the released runs over the steps of `curves`, as in table `number`; `-` without any."""
+    """Return the mean score of the released runs over the steps of `curves`, as tested in table `number`; `-` without any."""
     released = released_beside(curves)
     step = common_step(curves, released) if released else None
     if not released or not step or (number == 2 and CONTINUING not in released.metrics):
         return "-"
+    _, released = over_same_steps((curves, released), step)
     return f"{table_scores(number, released, step).mean():.{digits}f}"
 
 

@@ -8,6 +8,7 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
+from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.paper import figure2, figure4
@@ -37,6 +38,7 @@ TEXTS = {
         "| tabletop_organization | fbrl | 2 | 200,000 | 0.20M | 0.88M | - | 2.09M | 0.550 (0.035) | "
         "0.0040 (0.0000) | 0.0000 | 0.550 (0.035) | 0.000 |",
         "| - | - | - | - | 200.0 | 0.0000 | - | 200.0 | - |",
+        "its band the 95 % interval of that mean, Wilson's for rates",
     ],
     "table1": [
         f"| method | {' | '.join(PAPER_TASKS)} |",
@@ -116,6 +118,14 @@ def test_published_crossings_are_drawn_only_beside_the_papers_task_and_setting(t
     runs = [(TABLETOP, "fbrl", SCORES, rewards(0.004, **options)) for options in ({"layer_norm": True}, changed)]
     marks = [crossings_beside(read_methods([path])[0]) for path in write_runs(tmp_path, runs)]
     assert marks == [{0.5: 880_000, 0.9: 2_090_000}, {}]
+
+
+def test_the_published_score_in_figure_5_is_over_the_steps_of_ours(tmp_path):
+    """Our two evaluations are 1M steps apart; the released ones of the last tenth are 200,000."""
+    run = (TABLETOP, "fbrl", SCORES, rewards(steps=(1_000_000, 2_000_000)))
+    released = assets.released_runs(TABLETOP, "fbrl")["deployed"][:, 98:199].mean()
+    text = ARTEFACTS["figure5"].report(write_runs(tmp_path, [run])).parts["scores"]
+    assert text.endswith(f"| 0.550 (0.035) | {released:.3f} |")
 
 
 @pytest.mark.parametrize("options", [{}, {"batch_size": 64, "discount": 0.95, "learning_rate": 1e-3}])
