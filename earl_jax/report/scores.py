@@ -145,12 +145,14 @@ def _crossing_columns(curves: Curves) -> dict[str, int | None]:
 
 
 def steps_per_reward(curves: Curves) -> float | None:
-    """Return steps per +1 of task reward in the last quarter of the run, the median over seeds that earn there.
+    """Return steps per +1 of task reward in the last quarter of the run, the median over seeds, infinite for those without.
 
-    None if no seed earns there, or if the run has no such column.
+    None if the median is infinite, or if the run has no such column.
     """
     if "continuing/recent" not in curves.metrics:
         return None
     recent = curves.metrics["continuing/recent"]
     rate = recent[:, -max(1, round(0.25 * recent.shape[1])) :].mean(axis=1)
-    return float(np.median(1 / rate[rate > 1e-3])) if (rate > 1e-3).any() else None
+    with np.errstate(divide="ignore"):
+        steps = float(np.median(1 / np.maximum(rate, 0.0)))
+    return steps if math.isfinite(steps) else None

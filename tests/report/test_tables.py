@@ -42,6 +42,16 @@ def test_a_run_without_the_rewards_since_an_evaluation_has_a_row_without_steps_p
     assert (row["continuing"], row["steps_per_reward"]) == (0.01, None)
 
 
+@pytest.mark.parametrize(
+    ("rates", "steps"), [((0.02, 0.0005, 0.0004), 2_000), ((0.02, 0.01, 0.0), 100), ((0.02, 0.0), None)]
+)
+def test_steps_per_reward_are_the_median_of_all_seeds_and_none_where_it_is_infinite(tmp_path, rates, steps):
+    metrics = {"continuing/reward": 0.0, "continuing/recent": constant(*rates)}
+    rows = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", constant(*rates), metrics=metrics)])
+    assert rows[0]["steps_per_reward"] == (steps and pytest.approx(steps))
+    assert ("| - |\n" in tables.run_table(rows).text()) == (steps is None)
+
+
 def test_runs_with_other_options_have_rows_notes_and_published_scores_of_their_own(tmp_path):
     settings = {"a": {}, "b": {"setting": Continuing(goal_change=7)}, "c": {"reward_scale": 1.0}}
     paths = [write_three_evaluations(tmp_path / name, **options) for name, options in settings.items()]
