@@ -125,13 +125,14 @@ def row_of(curves: Curves) -> dict[str, Any]:
 def life_values(metrics: dict[str, np.ndarray], last: int) -> dict[str, float | None]:
     """Return the values of a row from `metrics [N, E]`, over the last `last` evaluations; None for a missing metric.
 
-    `wide` is the mean over seeds with its 95 % interval; the others are means of what was measured.
+    `wide` is the mean over seeds with its 95 % interval; the others are means over seeds of what was measured of each.
     """
     wide = mean_interval(metrics[WIDE][:, -last:].mean(axis=1), rate=True) if WIDE in metrics else (None, None, None)
     values: dict[str, float | None] = dict(zip(("wide", "wide_low", "wide_high"), wide, strict=True))
     for name, metric in MEANS.items():
-        measured = metrics[metric][:, -last:] if metric in metrics else np.array([math.nan])
-        values[name] = None if np.isnan(measured).all() else float(np.nanmean(measured))
+        measured = [seed[~np.isnan(seed)] for seed in metrics[metric][:, -last:]] if metric in metrics else []
+        means = [seed.mean() for seed in measured if len(seed)]
+        values[name] = float(np.mean(means)) if means else None
     return values
 
 
