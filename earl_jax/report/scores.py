@@ -8,7 +8,7 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics import crossings
-from earl_jax.metrics.comparison import band, mean_interval
+from earl_jax.metrics.comparison import SAME, Sample, band, mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.scores import RATES, SUCCESS, Window, final_scores
@@ -60,9 +60,13 @@ def interval_of(curves: Curves, scores: np.ndarray, metric: str | None = None) -
     """Return the mean of `scores [N]` of the seeds with its 95 % interval, within [0, 1] if the `metric` is a rate.
 
     Of curves [N, E] it is the `band`. `metric` is by default the deployed one. The reward per step is a rate where the task's
-    rewards are 0 and 1.
+    rewards are 0 and 1, but a life is no trial: its ends are nan where no seed differs.
     """
     metric = metric or curves.deployed_metric
+    if scores.ndim == 1 and metric.startswith("continuing/") and metric not in RATES:
+        sample = Sample.of(scores)
+        if sample.stderr**2 <= SAME * sample.mean**2:
+            return Estimate(sample.mean, math.nan, math.nan)
     rewards = metric.startswith("continuing/re") and curves.deployed_metric == SUCCESS
     rate = metric in RATES or (rewards and bool(((scores >= 0) & (scores <= 1)).all()))
     return band(scores, rate) if scores.ndim > 1 else mean_interval(scores, rate)

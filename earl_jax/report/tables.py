@@ -32,7 +32,7 @@ TABLES = (".md", ".tex", ".csv")
 """The suffixes of files that `write` writes."""
 INTERVALS = (
     "Intervals of 95 % over seeds: Student's, or Wilson's with the effective number of trials for rates; fewer than three seeds "
-    "have none."
+    "have none, nor have equal rewards per step."
 )
 UNITS = ((1e9, "B"), (1e6, "M"), (1e3, "k"))
 """The units of numbers of steps in short."""

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from earl_jax.metrics.deployed import WIDE
-from earl_jax.metrics.phase_stats import BACK, STILL
-from earl_jax.metrics.scores import Window
+from earl_jax.metrics.phase_stats import ALIVE, BACK, STILL
+from earl_jax.metrics.scores import SUCCESS, Window
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
 from tests.cli.process import one_line, run, succeed
@@ -50,6 +50,20 @@ def test_steps_per_reward_are_the_median_of_all_seeds_and_none_where_it_is_infin
     rows = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", constant(*rates), metrics=metrics)])
     assert rows[0]["steps_per_reward"] == (steps and pytest.approx(steps))
     assert ("| - |\n" in tables.run_table(rows).text()) == (steps is None)
+
+
+@pytest.mark.parametrize(
+    ("metric", "trial"), [(SUCCESS, True), (ALIVE, True), ("continuing/reward", False), (STILL, False)]
+)
+def test_seeds_that_agree_are_trials_of_a_rate_but_not_of_the_reward_of_a_life(tmp_path, metric, trial):
+    equal = {"continuing/reward": 0.0, ALIVE: 0.0, STILL: 0.0}
+    rows = tables.tabulate(
+        [write_run(tmp_path, TABLETOP, "naive", constant(0.0, 0.0, 0.0), metrics=equal)], metric=metric
+    )
+    assert ("| 0 |" in tables.run_table(rows).text()) == (not trial)
+    assert [rows[0][end] for end in ("mean", "low", "high")] == pytest.approx(
+        [0, 0, 0.5615] if trial else [0, np.nan, np.nan], abs=1e-4, nan_ok=True
+    )
 
 
 def test_runs_with_other_options_have_rows_notes_and_published_scores_of_their_own(tmp_path):
