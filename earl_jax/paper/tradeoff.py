@@ -87,8 +87,6 @@ def seed_rows(runs: Sequence[Curves]) -> list[Row]:
     for name in [name for name in itertools.product(envs, algos, KINDS) if name in lines]:
         values, line = zip(*sorted(lines[name].items()), strict=True)
         last = min(int(run.steps[-1]) for run in line)
-        for run in line:
-            seed_scores(run, last)  # its error names a run without an evaluation so early
         for value, run in zip(values, over_same_steps(line, last), strict=True):
             rows += _rows({**dict(zip(LINE, name, strict=True)), "value": value}, run, last)
     return rows

@@ -32,9 +32,7 @@ def seed_scores(curves: Curves, step: int | None = None, metric: str | None = No
     Raises:
         ValueError: the run has no such metric, it has no value at some of these evaluations, or there is none up to `step`.
     """
-    until = curves.steps <= (curves.steps[-1] if step is None else step)
-    if not until.any():
-        raise InputError(f"{curves.algo} on {curves.env} has no evaluation in the first {step:,} steps")
+    until = _until(curves, curves.steps[-1] if step is None else step)
     steps, values = curves.steps[until], curves.metrics[metric or curves.deployed_metric][:, until]
     if metric and not np.isfinite(values[:, -curves.window.count(steps) :]).all():
         raise InputError(
@@ -47,13 +45,24 @@ def over_same_steps(runs: Sequence[Curves], step: float = math.inf) -> list[Curv
     """Return `runs` with the window that scores all of them up to `step` over as many steps: the longest of theirs.
 
     A window of `last` evaluations stays as it is.
+
+    Raises:
+        ValueError: a run has no evaluation up to `step`.
     """
     if runs[0].window.last is not None:
         return list(runs)
-    lives = [(run.window, run.steps[run.steps <= step]) for run in runs]
+    lives = [(run.window, run.steps[_until(run, step)]) for run in runs]
     span = max(int(steps[-1] - steps[-window.count(steps)]) for window, steps in lives)
     window = Window(steps=span + min(int(np.diff(steps, prepend=0)[-1]) for _, steps in lives))
     return [run._replace(window=window) for run in runs]
+
+
+def _until(curves: Curves, step: float) -> np.ndarray:
+    """Return which evaluations are up to `step`, bool [E]; an InputError if none is."""
+    until = curves.steps <= step
+    if not until.any():
+        raise InputError(f"{curves.algo} on {curves.env} has no evaluation in the first {step:,} steps")
+    return until
 
 
 def interval_of(curves: Curves, scores: np.ndarray, metric: str | None = None) -> Estimate:
