@@ -77,7 +77,7 @@ def phase_metrics(
     reached their goal, among those that ended, however they ended: nan if none did. `continuing/alive` is 1 where each
     of the two has reached its goal within the last `alive_steps` steps, or since the start if that is later, else 0; a
     direction in which no phase with a goal has ended yet does not count. `continuing/still_steps` are the steps since
-    the object last moved by a centimetre (`MOVED`).
+    the object last moved by a centimetre (`MOVED`), as an intervention can move it too.
 
     Tasks with a dense reward have no goals to reach, and methods with one phase no return phase: they have the columns that
     make sense for them.

@@ -30,7 +30,7 @@ class Setting:
 
     intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1]"))
     """epsilon: probability of a hard intervention after a step, in addition to the one every H_T steps. With 0 and
-    `train_horizon=0` of the task there is none: full autonomy."""
+    `train_horizon=0` of the task there is none: full autonomy. Numbers of float32 are drawn, which are multiples of 1.2e-7."""
     budget: float | None = _as_in_help_budget("budget", default=None)
     """h_max: the largest total cost of interventions. The agent observes the remaining budget and can request help
     (`HelpBudget`). None: no help."""
