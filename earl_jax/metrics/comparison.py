@@ -92,7 +92,7 @@ def rate_interval(mean: Any, error: Any, seeds: int) -> tuple[Any, Any]:
     Source: Kott and Carr 1997, "Developing an estimation strategy for a pesticide data program", after Wilson 1927.
     """
     mean, variance = np.asarray(mean, float), np.square(error)
-    differ = ~_is_rounding(variance, mean)  # an unknown error gives nan
+    differ = ~is_rounding(variance, mean)  # an unknown error gives nan
     trials = np.where(differ, mean * (1 - mean) / np.where(differ, variance, 1.0), seeds).clip(seeds)
     ratio = np.where(differ, _quantile(seeds), stats.norm.ppf(1 - LEVEL / 2)) ** 2 / trials
     half = np.sqrt(ratio * mean * (1 - mean) + ratio**2 / 4)
@@ -103,11 +103,11 @@ def band(curves: np.ndarray, rate: bool = False) -> Estimate:
     """Return the mean of `curves [seeds, E]` with its 95 % interval at each evaluation, without width where no seed differs."""
     with np.errstate(invalid="ignore"):  # infinite values, such as the loss of a seed that diverged, have none
         mean, low, high = mean_interval(curves, rate)
-        same = _is_rounding(np.var(curves, axis=0) / (len(curves) - 1), mean) & (len(curves) >= FEWEST_SEEDS)
+        same = is_rounding(np.var(curves, axis=0) / (len(curves) - 1), mean) & (len(curves) >= FEWEST_SEEDS)
     return Estimate(mean, np.where(same, mean, low), np.where(same, mean, high))
 
 
-def _is_rounding(variance: Any, mean: Any) -> Any:
+def is_rounding(variance: Any, mean: Any) -> Any:
     """Return whether scores with this squared standard error of their `mean` count as equal, bool [...]."""
     return variance <= SAME * mean**2
 

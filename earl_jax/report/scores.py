@@ -8,7 +8,7 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics import crossings
-from earl_jax.metrics.comparison import SAME, Sample, band, mean_interval
+from earl_jax.metrics.comparison import Sample, band, is_rounding, mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.scores import RATES, SUCCESS, Window, final_scores
@@ -74,7 +74,7 @@ def interval_of(curves: Curves, scores: np.ndarray, metric: str | None = None) -
     metric = metric or curves.deployed_metric
     if scores.ndim == 1 and metric.startswith("continuing/") and metric not in RATES:
         sample = Sample.of(scores)
-        if sample.stderr**2 <= SAME * sample.mean**2:
+        if is_rounding(sample.stderr**2, sample.mean):
             return Estimate(sample.mean, math.nan, math.nan)
     rewards = metric.startswith("continuing/re") and curves.deployed_metric == SUCCESS
     rate = metric in RATES or (rewards and bool(((scores >= 0) & (scores <= 1)).all()))
