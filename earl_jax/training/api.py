@@ -93,8 +93,9 @@ def train(
     method = _method_of(task, algo, options)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
     run = Run.resolve(RunConfig.from_objects(task, method, rules, seed_list(seeds), schedule), task, method, rules)
-    plan = plan_runs([run], devices)
-    trace(plan, [run])  # an impossible plan or an error in a function neither creates a folder nor overwrites one
+    plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
+    if overwrite:
+        trace(plan, [run])  # an error in a function of the task or the method leaves the earlier run as it is
     run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
     return _execute(plan, run, progress, limit)

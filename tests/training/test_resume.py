@@ -181,6 +181,9 @@ def test_an_earlier_run_is_removed_on_request_only_and_after_the_new_one_is_acce
     for invalid in ({"steps": 50}, {"logs": ["abacus"]}, {"discount": "high"}, {"devices": 1000}):
         with unchanged(out), pytest.raises(ValueError, match=r".+"):
             tiny_train("naive", out=out, overwrite=True, **invalid)
+    odd = type("Odd", (Naive,), {"name": "odd", "ends_phase": lambda *_: 2})()
+    with unchanged(out), pytest.raises(ValueError, match="what ends_phase returns must be bool"):
+        earl_jax.train(Meadow(), odd, seeds=1, steps=40, eval_every=40, out=out, overwrite=True)
     result = tiny_train("naive", out=out, overwrite=True, seeds=[5, 6])
     assert "removed from the earlier run" in capsys.readouterr().err
     assert RunFolder.open(out).config.seeds == result.seeds == (5, 6)

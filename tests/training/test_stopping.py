@@ -116,7 +116,7 @@ def test_minutes_that_run_out_in_an_evaluation_end_training_there(tmp_path, monk
         put_clock_forward(monkeypatch)
         return evaluate(*arguments)
 
-    monkeypatch.setattr(runner, "_evaluate", Mock(wraps=evaluate, side_effect=evaluate_for_an_hour))
+    monkeypatch.setattr(runner, "_evaluate", evaluate_for_an_hour)
     assert tiny_train("vaprl", out=tmp_path / "run", checkpoint_every=40, minutes=30).step == 40
 
 
