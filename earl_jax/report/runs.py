@@ -171,9 +171,14 @@ def common_step(first: Curves, second: Curves, share: float = 1.0) -> int | None
 
     It is None before the first evaluation of one.
     """
-    rarer = max((first, second), key=lambda curves: np.diff(curves.steps, prepend=0)[-1])
+    rarer = max((first, second), key=lambda curves: spacing(curves.steps))
     steps = rarer.steps[rarer.steps <= int(share * min(first.steps[-1], second.steps[-1]))]
     return int(steps[-1]) if len(steps) and steps[-1] >= max(first.steps[0], second.steps[0]) else None
+
+
+def spacing(steps: np.ndarray) -> int:
+    """Return the number of steps before the last of the evaluations at `steps [E]`, since the one before it or the start."""
+    return int(np.diff(steps, prepend=0)[-1])
 
 
 def labels(runs: Sequence[Curves]) -> list[str]:

@@ -14,7 +14,7 @@ from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.scores import RATES, SUCCESS, Window, final_scores
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import published_beside, released_beside
-from earl_jax.report.runs import Curves, options_text
+from earl_jax.report.runs import Curves, options_text, spacing
 
 LEVELS = (0.5, 0.9)
 """Success rates for which reports give the first step that reaches them."""
@@ -53,7 +53,7 @@ def over_same_steps(runs: Sequence[Curves], step: float = math.inf) -> list[Curv
         return list(runs)
     lives = [(run.window, run.steps[_until(run, step)]) for run in runs]
     span = max(int(steps[-1] - steps[-window.count(steps)]) for window, steps in lives)
-    window = Window(steps=span + min(int(np.diff(steps, prepend=0)[-1]) for _, steps in lives))
+    window = Window(steps=span + min(spacing(steps) for _, steps in lives))
     return [run._replace(window=window) for run in runs]
 
 
