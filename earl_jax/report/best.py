@@ -17,7 +17,7 @@ from earl_jax.report.published import FAMILY_RULE
 from earl_jax.report.runs import Curves, options_text
 from earl_jax.report.scores import interval_of, over_same_steps, seed_scores
 from earl_jax.report.style import grouped
-from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, number_text, wrapped
+from earl_jax.report.tables import INTERVALS, Column, Row, Table, interval_text, number_text, windows_text, wrapped
 
 Test = Literal["permutation", "welch"]
 COLUMNS: tuple[Column, ...] = (
@@ -114,7 +114,7 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
         hidden = f"{len(of_task) - top} more are not shown. " if len(of_task) > top else ""
         table = Table.of(COLUMNS, of_task[:top], [hidden + _verdict_text(of_task)])
         parts += [f"{env}, {metric}", table.text(width)]
-    rule = RULE.format(test=TESTS[test], window=rows[0]["mean_over"], intervals=INTERVALS)
+    rule = RULE.format(test=TESTS[test], window=windows_text(rows), intervals=INTERVALS)
     notes = [rule, OPTIMISM] if len(rows) > 1 else [rule]
     return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])
 

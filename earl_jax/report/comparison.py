@@ -37,7 +37,18 @@ from earl_jax.report.published import (
 from earl_jax.report.runs import Curves, common_step
 from earl_jax.report.scores import interval_of, over_same_steps, seed_scores
 from earl_jax.report.style import PICTURES, grouped, method_title, new_figure, reach, save, task_title
-from earl_jax.report.tables import INTERVALS, TABLES, Column, Row, Table, interval_text, millions, number_text, write
+from earl_jax.report.tables import (
+    INTERVALS,
+    TABLES,
+    Column,
+    Row,
+    Table,
+    interval_text,
+    millions,
+    number_text,
+    windows_text,
+    write,
+)  # fmt: skip
 from earl_jax.runs.files import RunWarning, require_suffix
 
 UNTESTED = dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan)
@@ -223,8 +234,7 @@ def table_text(rows: Sequence[Row], width: int | None = None) -> str:
 
 
 def _table(rows: Sequence[Row]) -> Table:
-    windows = dict.fromkeys(row["mean_over"] for row in rows)
-    rule = RULE.format(window=" or ".join(windows))
+    rule = RULE.format(window=windows_text(rows))
     published = any(row["second"].startswith("published") for row in rows)
     return Table.of(COLUMNS, rows, [f"{rule} {TEST_RULE}" if published else rule])
 

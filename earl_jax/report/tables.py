@@ -105,9 +105,14 @@ def _metric_row(curves: Curves, metric: str) -> Row:
     }  # fmt: skip
 
 
+def windows_text(rows: Sequence[Row]) -> str:
+    """Return what the scores of `rows` are means over, in words: each window once, as pooled runs can have others."""
+    return " or ".join(dict.fromkeys(row["mean_over"] for row in rows))
+
+
 def run_table(rows: Sequence[Row]) -> Table:
     """Return the table of rows of `tabulate`, with notes of what their scores are means of, and of the options of each."""
-    score = f"The score of a seed is its mean over {rows[0]['mean_over']}. {INTERVALS}"
+    score = f"The score of a seed is its mean over {windows_text(rows)}. {INTERVALS}"
     options = [f"{row['algo']}: {row['options']}" for row in rows]
     if "metric" in rows[0]:
         mean = (f"{rows[0]['metric']}, mean [95 %]", lambda row: _interval(row, "mean", ("low", "high"), ".4g"))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from earl_jax.report.best import best
+from earl_jax.report.best import best, best_text
 from earl_jax.report.comparison import compare, table_text, write_comparison
 from earl_jax.runs.files import RunWarning
 from tests.report.run_files import (
@@ -58,6 +58,7 @@ def test_scores_are_means_over_the_same_steps_however_often_their_runs_were_eval
     ]
     assert {round(row[name], 9) for row in rows for name in ("mean", "other_mean")} == {0.8}
     assert {round(row["score"], 9) for row in best([tmp_path])} == {0.8}
+    assert "at least 5 or the evaluations of the last 44 steps" in best_text(best([tmp_path]))
     write_run(tmp_path / "rare" / "e", TABLETOP, "risc", np.outer([1, 1], range(3, 100, 3)) / 100, range(3, 100, 3))
     [row] = compare([tmp_path / "a", tmp_path / "rare"])
     assert (row["steps"], row["mean"], row["other_mean"]) == (90, pytest.approx(0.7), pytest.approx(0.69))
