@@ -114,7 +114,8 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
         hidden = f"{len(of_task) - top} more are not shown. " if len(of_task) > top else ""
         table = Table.of(COLUMNS, of_task[:top], [hidden + _verdict_text(of_task)])
         parts += [f"{env}, {metric}", table.text(width)]
-    rule = RULE.format(test=TESTS[test], window=windows_text(rows), intervals=INTERVALS)
+    window = windows_text(row["mean_over"] for row in rows)
+    rule = RULE.format(test=TESTS[test], window=window, intervals=INTERVALS)
     notes = [rule, OPTIMISM] if len(rows) > 1 else [rule]
     return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])
 

@@ -234,7 +234,7 @@ def table_text(rows: Sequence[Row], width: int | None = None) -> str:
 
 
 def _table(rows: Sequence[Row]) -> Table:
-    rule = RULE.format(window=windows_text(rows))
+    rule = RULE.format(window=windows_text(row["mean_over"] for row in rows))
     published = any(row["second"].startswith("published") for row in rows)
     return Table.of(COLUMNS, rows, [f"{rule} {TEST_RULE}" if published else rule])
 

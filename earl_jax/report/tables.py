@@ -7,7 +7,7 @@ import math
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -105,14 +105,14 @@ def _metric_row(curves: Curves, metric: str) -> Row:
     }  # fmt: skip
 
 
-def windows_text(rows: Sequence[Row]) -> str:
-    """Return what the scores of `rows` are means over, in words: each window once, as pooled runs can have others."""
-    return " or ".join(dict.fromkeys(row["mean_over"] for row in rows))
+def windows_text(windows: Iterable[str]) -> str:
+    """Return what scores are means over, in words: each of their `windows` once, as pooled runs can have others."""
+    return " or ".join(dict.fromkeys(windows))
 
 
 def run_table(rows: Sequence[Row]) -> Table:
     """Return the table of rows of `tabulate`, with notes of what their scores are means of, and of the options of each."""
-    score = f"The score of a seed is its mean over {windows_text(rows)}. {INTERVALS}"
+    score = f"The score of a seed is its mean over {windows_text(row['mean_over'] for row in rows)}. {INTERVALS}"
     options = [f"{row['algo']}: {row['options']}" for row in rows]
     if "metric" in rows[0]:
         mean = (f"{rows[0]['metric']}, mean [95 %]", lambda row: _interval(row, "mean", ("low", "high"), ".4g"))

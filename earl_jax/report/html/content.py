@@ -15,7 +15,7 @@ from earl_jax.report.published import INTERVAL_RULE
 from earl_jax.report.runs import options_text
 from earl_jax.report.scores import SMOOTH
 from earl_jax.report.style import grouped, task_order, task_title
-from earl_jax.report.tables import steps_text
+from earl_jax.report.tables import steps_text, windows_text
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.provenance import short_commit
 
@@ -37,7 +37,7 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
         "lines": lines,
         "summary": _summary(lines, versions),
         "rule": INTERVAL_RULE,
-        "difference_rule": RULE.format(window=lines[0].curves.window.text),
+        "difference_rule": RULE.format(window=windows_text(line.curves.window.text for line in lines)),
         "cards": [_run_card(line, run) for line in lines for run in line.curves.runs],
         "versions": {name: ", ".join(values) for name, values in versions.items()},
         "differing": [name for name, values in versions.items() if len(values) > 1],

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.paper import leaderboard as committed
+from earl_jax.metrics.scores import Window
 from earl_jax.report.html.content import page_content
 from earl_jax.report.html.curves import POINTS, lines_of, panels
 from earl_jax.report.html.page_tables import HERE, leaderboard, paper_table, seed_table
@@ -127,3 +128,8 @@ def test_a_seed_that_ran_twice_has_one_row_and_a_note(tmp_path):
     content = page_content(lines)
     assert content["tasks"][0]["notes"] == ["fbrl: seed 0, 1 ran more than once and counts by the mean of its runs."]
     assert content["summary"]["Runs"] == "2, with 2 seeds and 80 steps in total"
+    line = lines[0]._replace(curves=lines[0].curves._replace(window=Window(last=1)))
+    assert (
+        "its mean over the last evaluation or the evaluations of the last tenth"
+        in page_content([line, *lines])["difference_rule"]
+    )
