@@ -58,6 +58,11 @@ def beside_reset(curves: Curves, end: int) -> np.ndarray:
     return means[:, ends % RESETS == end].mean(axis=1)
 
 
+def after_reset(curves: Curves) -> np.ndarray:
+    """Return `beside_reset` [N] of our runs, and of the released ones the reward per step of all: these may have more resets."""
+    return beside_reset(curves, LONG) if curves.runs else reward(curves)
+
+
 def _long_rates(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
     """Return the ends [I] of the last intervals of `LONG` steps, and their rewards per step [N, I]."""
     rates, rows = _rates(curves), LONG // curves.config.schedule.eval_every
@@ -84,14 +89,24 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ),
     *(
         (f"franka_kitchen/{algo}", "reward per step up to 0.3M steps", functools.partial(reward, end=EARLY))
-        for algo in ("naive", "fbrl", "fbrl/released")
+        for algo in ("naive", "fbrl", "fbrl/released", "naive/released", "r3l/released")
     ),
     ("franka_kitchen/fbrl/random_10000", *AFTER_RESET),  # it ends at 0.3M
     (KITCHEN_FBRL, "correlation of successive intervals of 20,000 steps", memory),
     (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
     *(
+        (run, "reward per step of the 20,000 after a reset, the paper's of all steps", after_reset)
+        for run in (KITCHEN_R3L, "franka_kitchen/r3l/released")
+    ),
+    *(
         (run, name, measure)
-        for run in (KITCHEN_NAIVE, KITCHEN_FBRL, "franka_kitchen/fbrl/mean_return", "franka_kitchen/fbrl/released")
+        for run in (
+            KITCHEN_NAIVE,
+            KITCHEN_FBRL,
+            "franka_kitchen/fbrl/mean_return",
+            "franka_kitchen/fbrl/released",
+            "franka_kitchen/naive/released",
+        )
         for name, measure in (
             AFTER_RESET,
             ("reward per step of the 20,000 before a reset", functools.partial(beside_reset, end=0)),

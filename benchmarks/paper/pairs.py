@@ -263,4 +263,10 @@ DIFFERENCES = (
     Difference("29", "the same, with everything closed as the backward goal", (
         _variants(f"{KITCHEN}/fbrl", "released_closed", base=BESIDE_VARIANTS["fbrl"])
     )),
+    Difference("30", "naive RL in the kitchen with the settings of 28 that it has, fresh seeds", (
+        _variants(f"{KITCHEN}/naive", "released")
+    )),
+    Difference("31", "R3L in the kitchen with the settings of 28 that it has, fresh seeds", (
+        _variants(f"{KITCHEN}/r3l", "released", base=BESIDE_VARIANTS["r3l"])
+    )),
 )  # fmt: skip

@@ -1,9 +1,9 @@
-"""FBRL in the kitchen with the settings of VaPRL's released script, for difference 28.
+"""FBRL in the kitchen with the settings of VaPRL's released script, for differences 28, 30 and 31.
 
 earl-jax train mean_return_kitchen --algo released_fbrl --import benchmarks/paper/released_fbrl.py \
     --set controllers=1 random_steps=10000
 
-The import also sets the release's upper bound of the policies' log standard deviations.
+The import also sets the release's upper bound of the policies' log standard deviations, for naive RL and R3L too.
 """
 
 from typing import Any, ClassVar
