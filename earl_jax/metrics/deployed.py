@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from earl_jax.envs import Env, State, balanced_starts
 from earl_jax.envs.starts import EVAL_PAIRS
 from earl_jax.errors import require_known
+from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, EPISODES, require
 
 WIDE = "deployed/success_wide"
@@ -34,6 +35,7 @@ def episode(env: Env, policy: Callable, state: State, horizon: int) -> dict[str,
     return {"success": success.astype(jnp.float32), "return": total}
 
 
+@package_types()
 def deployed(
     env: Env,
     policy: Callable,

@@ -1,6 +1,7 @@
 """Deployed evaluation of policies whose scores are known."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +46,13 @@ def test_dense_returns_are_undiscounted_sums(env):
     dense = dataclasses.replace(env, reward_type="dense")
     total, reward = jax.jit(lambda: (episode(dense, idle, dense.reset(KEY), 7)["return"], dense.reset(KEY).reward))()
     assert float(total) == pytest.approx(7 * float(reward), rel=1e-5)
+
+
+def test_an_evaluation_has_the_types_of_the_package_whatever_those_of_the_process(env):
+    evaluation = functools.partial(deployed, env, idle, horizon=2, episodes=4)
+    expected = str(jax.make_jaxpr(evaluation)(KEY))
+    with jax.enable_x64(True):
+        assert str(jax.make_jaxpr(evaluation)(KEY)) == expected
 
 
 def test_an_episode_ends_where_the_simulation_breaks(env):
