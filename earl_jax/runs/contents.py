@@ -47,9 +47,10 @@ def unknown_entries(path: Path) -> list[str]:
 
 
 def _below(path: Path) -> Iterator[Path]:
-    """Yield all entries of the folders in which a run writes."""
+    """Yield all entries of the folders in which a run writes, but for what another process removes meanwhile."""
     for name in (CHECKPOINTS, TENSORBOARD, VIDEOS):
-        yield from (path / name).rglob("*")
+        for folder, folders, files in os.walk(path / name):
+            yield from (Path(folder, entry) for entry in (*folders, *files))
 
 
 def check_entries(path: Path) -> None:

@@ -217,6 +217,20 @@ def test_overwriting_a_folder_in_use_is_refused(folder):
         create(folder, overwrite=True)
 
 
+def test_files_that_another_process_removes_meanwhile_do_not_matter(folder, monkeypatch):
+    trial, scan = folder.checkpoints / "trial.part", os.scandir
+    trial.mkdir(parents=True)
+
+    def remove_and_scan(path="."):
+        if str(path) == str(trial) and trial.exists():
+            trial.rmdir()
+        return scan(path)
+
+    monkeypatch.setattr(os, "scandir", remove_and_scan)
+    assert create(folder).path == folder.path
+    assert not trial.exists()
+
+
 def test_a_command_that_continues_a_run_can_be_pasted(folder, tmp_path):
     folder = RunFolder.open(folder.path.rename(tmp_path / "my run"))
     append_rows(folder, 40)
