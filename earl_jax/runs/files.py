@@ -40,11 +40,12 @@ def check_kind(path: Path, kind: int = stat.S_IFREG) -> None:
 
 
 def check_folder(path: Path) -> None:
-    """Raise an InputError if `path` is a file, or an address, such as gs://bucket/run, of which pathlib makes a folder."""
+    """Raise an InputError if `path` is or leads through a file, or is an address, such as gs://bucket/run, not a local folder."""
     if re.match("[a-z][a-z0-9]+:/", path.as_posix()):
         raise InputError(f"{path} is an address, and runs are written to local folders; choose one and copy it there")
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path} exists and is not a folder; choose another folder")
+    for each in (path, *path.parents):
+        if each.exists() and not each.is_dir():
+            raise InputError(f"{each} exists and is not a folder; choose another folder")
 
 
 def require_suffix(path: Path, suffixes: Collection[str], noun: str) -> None:

@@ -92,7 +92,7 @@ def test_invalid_runs_are_refused_in_one_line_before_any_training(tmp_path, grid
         ),
         ({"logs": "wandb"}, "logs must be a list"),
         ({"out": "gs://a/out"}, "gs:/a/out is an address"),
-        ({"out": __file__}, "is not a folder"),
+        *[({"out": out}, f"{__file__} exists and is not a folder") for out in (__file__, f"{__file__}/runs")],
     ],
 )
 def test_logs_and_folders_that_no_run_can_have_are_refused_before_any_training(grid, values, message, capsys):
