@@ -49,6 +49,8 @@ def _own_metrics(method: Method, lane: LaneState, taken: set[str]) -> dict[str, 
     """Return the scalars of the learner and the method; an InputError if one is no scalar, or its column is `taken`."""
     state = lane.method_state
     of_method = state.get("metrics", {}) if isinstance(state, dict) else getattr(state, "metrics", {})
+    if not isinstance(of_method, dict):
+        raise InputError(f"metrics in the state of method {method.name!r} must be a dict of scalars")
     own = {**lane.counters.diagnostics, **{f"{method.name}/{name}": value for name, value in of_method.items()}}
     for name, value in own.items():
         if name in taken:

@@ -39,6 +39,13 @@ class Reporter(Method):
         return Answer(metrics) if self.shape else {"metrics": metrics}
 
 
+class Bare(Method):
+    name = "bare"
+
+    def init(self, key, env, goals):
+        return {"metrics": jnp.zeros(())}
+
+
 class Idle(struct.PyTreeNode):
     actor: tuple = ()
 
@@ -69,6 +76,7 @@ def test_scalars_in_the_metrics_of_a_method_are_metrics_and_a_learner_without_pa
     assert metrics["reporter/known"].dtype == jnp.int32, "metrics.csv has numbers"
     assert metrics["diverged"].tolist() == [0, 0]
     odd = {r"'reporter/answer' of metrics.csv must be number\[\], not float32\[3\]": Reporter(Rest(), shape=(3,))}
+    odd["metrics in the state of method 'bare' must be a dict of scalars"] = Bare(Rest())
     for name in ("seed", "interventions"):
         odd[f"'{name}' is a column of every metrics"] = Reporter(type("Odd", (Rest,), {"diagnostics": (name,)})())
     for message, method in odd.items():
