@@ -227,7 +227,7 @@ class Env(abc.ABC):
         obs, zero = jnp.concatenate([vector, info["goal"]]), jnp.zeros(())
         metrics = {"success": self.success(obs).astype(jnp.float32)}
         state = State(data=data, obs=obs, reward=zero, done=zero, metrics=metrics, info=info)
-        return state.replace(reward=self.goal_reward(state, info["goal"]))
+        return state.replace(reward=jnp.asarray(self.goal_reward(state, info["goal"]), jnp.float32))
 
     @package_types()
     def sample_goal(self, key: jax.Array) -> jax.Array:

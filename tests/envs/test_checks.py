@@ -63,6 +63,12 @@ def test_goals_of_whole_numbers_keep_the_types_of_a_life():
     assert jax.lax.scan(lambda s, _: (advance(env, s, jnp.ones(1))[0], None), state, length=2)[0].step == 2
 
 
+def test_the_reward_of_a_state_is_float32_also_of_a_task_that_returns_the_success_bit():
+    env = type("Bit", (Chain,), {"reward": Chain.success})(start=2)
+    state = env.step(env.reset(jax.random.key(0)), jnp.ones(1))
+    assert state.reward.dtype == env.reset(jax.random.key(0)).reward.dtype == jnp.float32
+
+
 def test_a_state_vector_of_another_size_is_refused():
     env = type("Long", (Chain,), {"state_size": 2})()
     with pytest.raises(InputError, match=r"chain: a state vector has shape \(1,\), not \(2,\)"):
