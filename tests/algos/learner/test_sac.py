@@ -97,15 +97,37 @@ def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs, laye
 
 def test_a_temperature_falls_where_there_is_more_entropy_than_asked_and_a_fixed_one_stays():
     agent = init(SMALL, jax.random.key(0), 4, 2)
-    for fixed, expected in ((True, 0.0), (False, -3e-4)):
+    for fixed, expected, gradient in ((True, 0.0, 0.0), (False, -3e-4, 3.0 + 0.5 * 2)):
         after = SMALL.replace(fixed_temperature=fixed).update_temperature(agent, jnp.float32(-3.0), 2)
         assert float(after.log_temperature) == pytest.approx(expected, rel=1e-3)
+        assert float(10 * after.moments["temperature"].mu) == pytest.approx(gradient)
 
 
 SHALLOW = SAC(hidden_sizes=(16,), batch_size=8, reward_scale=2.0, initial_temperature=0.3)
 """A learner for its options beyond EARL's: ensembles, several critic updates a step, and the cloning term."""
 td_targets = jax.jit(jax.vmap(SAC.td_target, (None, 0, None, None)))
 act_with_log_prob = jax.jit(SAC.act_with_log_prob)
+
+
+def test_an_update_is_a_step_of_the_critics_then_of_the_actor_on_them_then_of_the_temperature_and_targets(batch):
+    """The large step size tells the updated critics from the former ones."""
+    sac, key = SHALLOW.replace(learning_rate=0.1), jax.random.key(4)
+    agent = init(SHALLOW, jax.random.key(1), 4, SIZE)
+    after, diagnostics = jax.jit(SAC.update)(sac, key, agent, batch)
+    critic_key, actor_key = jax.random.split(key)
+    first, loss = jax.jit(SAC.update_critics)(sac, critic_key, agent, batch)
+    second, log_prob = jax.jit(SAC.update_actor)(sac, actor_key, first, batch)
+    third = sac.update_temperature(second, log_prob, SIZE)
+    targets = jax.tree.map(lambda old, new: old + 0.005 * (new - old), agent.targets, first.critics)
+    assert_equal_trees(after, third.replace(targets=targets), rtol=1e-4, atol=1e-5)
+    expected = {"critic_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(third.log_temperature)}
+    assert_equal_trees(diagnostics, expected, rtol=1e-4)
+
+
+def test_a_value_is_the_smallest_of_the_critics_without_an_entropy_term(batch):
+    agent, key = init(SHALLOW, jax.random.key(1), 4, SIZE, entropy_free_pairs=1), jax.random.key(2)
+    values = np.asarray(q_values(SHALLOW, agent.critics, batch.obs, SHALLOW.act(key, agent.actor, batch.obs)))
+    np.testing.assert_allclose(SHALLOW.value(key, agent, batch.obs), values[2:].min(axis=0), rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize(
