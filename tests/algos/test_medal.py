@@ -53,6 +53,21 @@ def test_the_classifier_separates_two_clouds_and_rewards_the_demonstrated_one(me
     assert after.metrics == {"classifier_loss": after.loss, "classifier_accuracy": after.accuracy}
 
 
+def test_a_refresh_tells_the_demonstrations_from_the_sampled_states(env, medal):
+    method, goals, classifier = medal
+    states = np.tile(goals.table[0] + 1.0, (method.refresh_batch_size, 1))
+    batch = make_batch(states, states)
+
+    @jax.jit
+    def refreshed(classifier):
+        step = lambda carry, key: (method.refresh(key, env, goals, None, batch, carry), None)  # noqa: E731
+        return jax.lax.scan(step, classifier, KEYS[:50])[0]
+
+    after = refreshed(classifier)
+    own = np.concatenate([states[:1], goals.table[:1]], axis=1)
+    assert after.logits(after.params, demonstrated_obs(env)).mean() > 0 > after.logits(after.params, own)[0]
+
+
 def test_mixup_takes_rows_and_labels_in_the_same_shares():
     rows, labels = jnp.eye(50), jnp.arange(50) % 2.0
     mixed, mixed_labels = jax.jit(mix)(jax.random.key(0), rows, labels)

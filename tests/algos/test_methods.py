@@ -142,8 +142,10 @@ def test_naive_by_the_global_clock_times_out_at_multiples_of_its_episode_length(
 def test_rnd_reward_and_scale_are_the_released_formulas(env):
     method, goals = make_algo("r3l"), goal_table(env)
     state = jax.jit(lambda key: method.init(key, env, goals))(KEYS[0]).replace(sigma=jnp.asarray(0.5))
-    batch = make_batch(goals.candidates[:64], goals.candidates[:64])
-    rewards = jax.jit(lambda state, phase: method.prepare(KEYS[0], env, goals, batch, phase, state).reward)
+    batch = make_batch(goals.candidates[:64], goals.candidates[64:128])
+    rewards = jax.jit(
+        lambda state, phase, method=method: method.prepare(KEYS[0], env, goals, batch, phase, state).reward
+    )
     agent = jax.jit(lambda key: method.learner.init(key, 12, 3))(KEYS[1])
     obs, zeros = np.concatenate([batch.state, batch.state], axis=1), np.zeros(64, np.float32)
     learnt = Batch(obs, batch.action, zeros, zeros > 0, obs)
@@ -151,9 +153,15 @@ def test_rnd_reward_and_scale_are_the_released_formulas(env):
     errors = jax.jit(lambda state: state.error(state.predictor, batch.state))
     before = np.asarray(errors(state))
     np.testing.assert_allclose(rewards(state, RETURN), before / 0.5, rtol=1e-5)
+    clip = np.median(before)
+    np.testing.assert_allclose(
+        rewards(state, RETURN, make_algo("r3l", rnd_clip=clip)), np.minimum(before / 0.5, clip), rtol=1e-5
+    )
     np.testing.assert_array_equal(rewards(state, TASK), batch.reward)
     expected = 0.99 * 0.5 + 0.01 * max(np.std(before / 0.5), 1e-3)
     assert float(update(state, RETURN).sigma) == pytest.approx(expected, rel=1e-5)
+    undecayed = make_algo("r3l", rnd_decay=0.0).distil(state.replace(sigma=jnp.asarray(1e6)), batch.state)
+    assert float(undecayed.sigma) == pytest.approx(1e-3)
     after = state
     for _ in range(30):
         after = update(after, RETURN)
@@ -187,7 +195,11 @@ def test_vaprl_chooses_the_valued_state_nearest_the_start_or_a_fallback(env, fal
     assert int(choose(values)) == able[np.argmin(distance[able])]
     assert distance[500] > distance.min()
     assert distance[int(choose(values / 100))] == (distance.min() if fallback else distance[500])
-    assert distance[int(choose(np.ones(len(distance), np.float32)))] == distance.min()
+    ones = np.ones(len(distance), np.float32)
+    assert distance[int(choose(ones))] == distance.min()
+    two_starts = goals._replace(tasks=3, initials=2)
+    between = np.linalg.norm(goals.candidates - goals.table[3:5].mean(axis=0), axis=1)
+    assert between[int(method.choose(ones, two_starts))] == pytest.approx(between.min())
 
 
 def test_vaprl_draws_its_next_task_when_it_returns(env):
@@ -232,6 +244,7 @@ def batch(env):
 
 
 def test_vaprl_recomputes_success_and_reward_of_relabelled_transitions(env, relabel, batch):
+    batch = batch._replace(state=np.tile(env.goal_states[2], (4000, 1)))
     new = relabel(RELABELLING[False], batch)
     assert len(set(new.flags.goal.tolist())) > 1500
     goals = goal_table(env).table[new.flags.goal]

@@ -11,7 +11,7 @@ from earl_jax.algos import make_algo
 from earl_jax.algos.fbrl import FBRL
 from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.sac import SOFT_CRITICS
-from earl_jax.algos.method import TASK, Moment
+from earl_jax.algos.method import RETURN, TASK, Moment
 from earl_jax.training.plan import per_lane
 from tests.conftest import make_train_state, run_whole, tiny_method
 
@@ -21,6 +21,13 @@ OBS = jnp.zeros(12)
 
 def moment(phase_step):
     return Moment(jnp.asarray(phase_step), jnp.asarray(TASK), phase_step, KEYS[0])
+
+
+def with_value(agent, value):
+    """Return `agent` with further critics that are `value` everywhere, before the division by the reward scale."""
+    critics = jax.tree.map(lambda leaf: leaf.at[SOFT_CRITICS:].set(0.0), agent.critics["params"])
+    bias = critics["hidden_1"]["bias"].at[SOFT_CRITICS:].set(value)
+    return agent.replace(critics={"params": {**critics, "hidden_1": {**critics["hidden_1"], "bias": bias}}})
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +41,25 @@ def switch_share(env):
 
     @jax.jit
     def share(method, value, count):
-        critics = jax.tree.map(lambda leaf: leaf.at[SOFT_CRITICS:].set(0.0), agent.critics["params"])
-        bias = critics["hidden_1"]["bias"].at[SOFT_CRITICS:].set(value)
-        own = agent.replace(critics={"params": {**critics, "hidden_1": {**critics["hidden_1"], "bias": bias}}})
-        own = jax.tree.map(lambda leaf: leaf[None], own)
+        own = jax.tree.map(lambda leaf: leaf[None], with_value(agent, value))
         return jax.vmap(lambda key: method.ends_phase(key, env, own, OBS, moment(count - 1), ()))(KEYS).mean()
 
     return lambda value, count, **options: float(share(make_algo("risc", hidden_sizes=[16], **options), value, count))
+
+
+def test_of_two_controllers_the_acting_one_is_asked(env):
+    method = make_algo("risc", hidden_sizes=[16], controllers=2, conservative_factor=0.0)
+    agent = jax.jit(lambda key: method.learner.init(key, 12, 3, method.entropy_free_pairs))(KEYS[0])
+    agents = jax.tree.map(lambda *leaves: jnp.stack(leaves), with_value(agent, 0.0), with_value(agent, 10.0))
+    ends = [
+        bool(
+            method.ends_phase(
+                KEYS[0], env, agents, OBS, moment(jnp.asarray(150))._replace(phase=jnp.asarray(phase)), ()
+            )
+        )
+        for phase in (TASK, RETURN)
+    ]
+    assert ends == [False, True]
 
 
 def test_a_phase_that_the_method_ends_is_stored_as_a_time_out(problem):
