@@ -110,6 +110,11 @@ def test_a_method_beyond_the_papers_lives_for_some_steps(algo):
     assert (moved > 0).all() == (algo != "bc")
 
 
+def test_a_way_back_leads_to_any_initial_state(env):
+    goals = goal_table(env)._replace(tasks=3, initials=2)
+    assert set(next_goals(make_algo("fbrl"), goals, RETURN).goal.tolist()) == {3, 4}
+
+
 def test_the_goal_table_holds_tasks_starts_and_every_demonstrated_state(env):
     goals = goal_table(env)
     np.testing.assert_array_equal(goals.table[:4], env.goal_states)
@@ -211,7 +216,7 @@ def test_vaprl_draws_its_next_task_when_it_returns(env):
 
 
 def test_vaprl_values_come_from_the_entropy_free_pair(problem):
-    method = take_lane(tiny_method("vaprl", 1, reward_scale=10.0), 0)
+    method = take_lane(tiny_method("vaprl", 1, reward_scale=10.0, value_samples=3), 0)
     lane = take_lane(make_train_state(problem, tiny_method("vaprl", 1), [0]).lanes, 0)
 
     @jax.jit
@@ -221,8 +226,14 @@ def test_vaprl_values_come_from_the_entropy_free_pair(problem):
         agent = lane.agent.replace(critics={"params": {**critics, "hidden_1": {**critics["hidden_1"], "bias": bias}}})
         return method.refresh(KEYS[0], problem.env, problem.goals, agent, None, lane.method_state).values
 
-    base = values(0, 0.0)
-    assert base.shape == (4, len(problem.goals.candidates))
+    @jax.jit
+    def by_hand(obs):
+        agent, keys = take_lane(lane.agent, 0), jax.random.split(KEYS[0], method.value_samples)
+        return jnp.stack([method.learner.value(key, agent, obs) for key in keys]).mean(axis=0) / 10
+
+    base, states = values(0, 0.0), problem.goals.candidates
+    obs = np.concatenate([np.tile(states, (4, 1)), np.repeat(problem.goals.table[:4], len(states), axis=0)], axis=1)
+    np.testing.assert_allclose(base, by_hand(obs).reshape(4, -1), atol=1e-5)
     np.testing.assert_allclose(values(0, 5.0), base, atol=1e-5)
     np.testing.assert_allclose(values(2, 5.0), base + 0.5, atol=1e-5)
 
