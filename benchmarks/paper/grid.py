@@ -19,11 +19,11 @@ WORDS = {"above": "▲ above", "below": "▼ below", CANNOT_TELL: f"? {CANNOT_TE
 WHOLE = 0.95
 """Share of its steps from which on a run counts as whole."""
 LEGEND = (
-    "Our score, the published one over the same steps below it, and the verdict of the test of seeds (permutation, Welch's for "
-    "the Minitaur; adjusted p over the methods of a task): ▲ above, ▼ below, or ? where the seeds cannot tell. A share of "
-    f"the steps is given where it is below {100 * WHOLE:.0f} %. The first three tasks have success, the others return. No runs "
-    "of the Minitaur were released: its published score is the printed one of the whole length. The lightbulb is our "
-    "reconstruction, which is not compared."
+    "A cell has our score, the published one over the same steps, and the verdict of a test over seeds (a permutation test; for "
+    "the Minitaur Welch's; p adjusted over the methods of a task): ▲ above, ▼ below, or ? where the seeds cannot tell. A cell "
+    f"with less than {100 * WHOLE:.0f} % of its steps shows its share. The score is success for the first three tasks and "
+    "return for the others. No runs of the Minitaur were released, so it has the printed score of the whole length. The "
+    "lightbulb is our reconstruction and is not compared."
 )
 SMOOTH = 10
 OURS = {"color": "#0072B2"}
@@ -54,8 +54,8 @@ def summary(rows: Sequence[Row]) -> str:
     sentences = (
         f"Of the {len(rows)} cells of the paper's table 1, {len(whole)} have run for {100 * WHOLE:.0f} % of its steps or more.",
         f"In {len(open_ones)} of these we detect no difference from the paper (p = "
-        f"{min(row['p_holm'] for row in open_ones):.2g} or more, adjusted over the methods of a task), but their seeds would "
-        f"detect only differences of {_listed(_detectable(open_ones))}.",
+        f"{min(row['p_holm'] for row in open_ones):.2g} or more, adjusted over the methods of a task). Their seeds would "
+        f"detect only differences of {_listed(_detectable(open_ones))}, depending on the cell.",
         f"{_listed(differing) if told else 'No other differs'}.",
         f"The other cells have run for {100 * min(shares):.0f} to {100 * max(shares):.0f} % of their steps.",
     )

@@ -141,13 +141,20 @@ def _newer_row(row: dict[str, str]) -> Row:
 
 
 def scores_text(rows: list[Row]) -> str:
-    """Return a table for each task that opens at a click, with intervals of the deployed score alone."""
+    """Return a table for each task that opens at a click, with intervals of the deployed score alone, without empty columns."""
     parts = []
     for env, of_task in ranked(rows).items():
-        header, *lines = [_shown(cells) for cells in (list(COLUMNS.values()), *map(texts, of_task))]
+        header, *lines = _filled([_shown(cells) for cells in (list(COLUMNS.values()), *map(texts, of_task))])
+
         summary = f"<details markdown><summary>{len(lines)} rows</summary>"
         parts.append(f"### {env}\n\n{summary}\n\n{markdown_table(header, lines)}\n\n</details>")
     return "\n\n".join(parts)
+
+
+def _filled(lines: list[list[str]]) -> list[list[str]]:
+    """Return the lines of a table, the header first, without the columns in which every other line has `-`."""
+    kept = [column for column in zip(*lines, strict=True) if set(column[1:]) != {"-"}]
+    return [list(line) for line in zip(*kept, strict=True)]
 
 
 def _shown(cells: Sequence[str]) -> list[str]:
@@ -192,9 +199,8 @@ def tests_text(rows: list[dict[str, Any]]) -> str:
         for row in rows
         if row["env"] in SPARSE and row["verdict"] == CANNOT_TELL and row["detectable"] > 0
     ]
-    text = f"{len(clear)} of {len(rows)} differ."
-    if found:
-        text += f" Of the others the seeds cannot tell: on sparse tasks they would find {min(found):.2f} to {max(found):.2f}."
+    text = f"{len(clear)} of {len(rows)} pairs differ. Elsewhere the seeds cannot tell"
+    text += f" (detectable on sparse tasks: {min(found):.2f} to {max(found):.2f})." if found else "."
     header = ("task", "run", "against", "at step", "difference [95 %]", "adjusted p")
     return f"{text}\n\n{markdown_table(header, [_test_line(row) for row in clear])}"
 
