@@ -43,8 +43,8 @@ def test_an_added_run_is_a_row_among_the_published(tmp_path, run):
     [row] = [line for line in text.splitlines() if "012345678" in line]
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     assert cells[1].startswith("0.740 [")
-    assert [cells[0], *cells[2:5]] == ["naive", "5", "0.10M", "012345678"]
-    assert cells[5] == "0.250"
+    assert [cells[0], *cells[2:5]] == ["naive", "0.10M", "012345678", "0.250"]
+    assert " of 5 seeds</summary>" in text
     rows = text.split("### sawyer_door")[0].splitlines()
     assert rows.index(row) > next(number for number, line in enumerate(rows) if line.startswith("| RISC |"))
 

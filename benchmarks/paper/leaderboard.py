@@ -141,19 +141,27 @@ def _newer_row(row: dict[str, str]) -> Row:
 
 
 def scores_text(rows: list[Row]) -> str:
-    """Return a table for each task that opens at a click, with intervals of the deployed score alone, without empty columns."""
+    """Return a table for each task that opens at a click, with intervals of the deployed score alone.
+
+    Columns that are empty are left out, as is the number of seeds where it is the same in all rows and so above the table.
+    """
     parts = []
     for env, of_task in ranked(rows).items():
         header, *lines = _filled([_shown(cells) for cells in (list(COLUMNS.values()), *map(texts, of_task))])
 
-        summary = f"<details markdown><summary>{len(lines)} rows</summary>"
+        seeds = {row["seeds"] for row in of_task}
+        each = f" of {seeds.pop()} seeds" if len(seeds) == 1 else ""
+        summary = f"<details markdown><summary>{len(lines)} rows{each}</summary>"
         parts.append(f"### {env}\n\n{summary}\n\n{markdown_table(header, lines)}\n\n</details>")
     return "\n\n".join(parts)
 
 
 def _filled(lines: list[list[str]]) -> list[list[str]]:
-    """Return the lines of a table, the header first, without the columns in which every other line has `-`."""
-    kept = [column for column in zip(*lines, strict=True) if set(column[1:]) != {"-"}]
+    """Return the lines of a table, the header first, without empty columns and without one number of seeds for all."""
+    columns = [(column[0], set(column[1:]), column) for column in zip(*lines, strict=True)]
+    kept = [
+        column for name, values, column in columns if values != {"-"} and not (name == "seeds" and len(values) == 1)
+    ]
     return [list(line) for line in zip(*kept, strict=True)]
 
 
