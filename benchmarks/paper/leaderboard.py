@@ -166,9 +166,9 @@ def _filled(lines: list[list[str]]) -> list[list[str]]:
 
 
 def _shown(cells: Sequence[str]) -> list[str]:
-    """Return the cells of the columns of the page."""
+    """Return the cells of the columns of the page, which gives the publications in full below its tables."""
     named = dict(zip(COLUMNS.values(), cells, strict=True))
-    named["from"] = named["commit"] if named["from"] == OURS else named["from"]
+    named["from"] = named["commit"] if named["from"] == OURS else re.sub(" et al[.]|, .*", "", named["from"])
     return [named[name] if name in WHOLE else named[name].partition(" [")[0] for name in PAGE]
 
 
