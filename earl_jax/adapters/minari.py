@@ -48,7 +48,7 @@ def write(dataset: str, env: Env, transitions: Demos, terminal: np.ndarray, algo
     a budget for help.
 
     Raises:
-        ValueError: the dataset exists, or its name is none.
+        ValueError: the dataset exists, or its name is not a valid one.
     """
     obs, next_obs = (
         np.concatenate([states, transitions.goals], axis=1) for states in (transitions.states, transitions.next_states)

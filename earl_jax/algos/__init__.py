@@ -99,7 +99,7 @@ def method_for(env: Env, name: str, **options) -> Method:
     """Return `make_algo(name, **options)`, with the reward scale of `env` unless it or a learner object has another one.
 
     Raises:
-        ValueError: as `make_algo`, or `env` is no task but a name.
+        ValueError: as in `make_algo`, or `env` is a name instead of a task.
     """
     require_object("task", env, Env, or_name=False)
     learner = options.get("learner")

@@ -41,9 +41,9 @@ FORWARD, BACKWARD = PhaseDemos("forward"), PhaseDemos("backward")
 class Phase:
     """One of the phases between which a method alternates; the first one pursues the task.
 
-    `demos` are those of its `controller`; `length`, the steps after which it times out, is H_E
-    for None; `ends_on_success`: reaching the goal ends it (sparse tasks only); `resets`: its end resets the environment;
-    `has_goal`: metrics count whether it reaches its goal.
+    `demos` are those of its `controller`; it times out after `length` steps, by default H_E; `ends_on_success`: reaching
+    the goal ends it (sparse tasks only); `resets`: its end resets the environment; `has_goal`: metrics count whether it
+    reaches its goal.
     """
 
     demos: tuple[PhaseDemos, ...] = (FORWARD,)

@@ -23,7 +23,7 @@ class Naive(Method):
     """Steps until a goal that was not reached is given up, with the biased TD update (released flags: 400)."""
 
     global_clock: bool = struct.field(pytree_node=False, default=False)
-    """Whether that happens when the step of the lifetime is a multiple of `episode_length`, the letter of section 6.1,
+    """Whether that happens when the step of the lifetime is a multiple of `episode_length`, as section 6.1 says,
     instead of `episode_length` steps after the last goal."""
 
     name: ClassVar[str] = "naive"

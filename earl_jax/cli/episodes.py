@@ -27,11 +27,11 @@ def render(
         source: Run folder, task, or all (one picture of the paper's six tasks).
         out: File to write: .mp4, .gif, .webp, or .png for a sheet of six moments. By default video.mp4 in a run folder, or
             TASK.mp4.
-        acting: Source of the actions. By default the newest policy of a run, or the best that the task has.
-        seed: Random seed of the starts and goals. Of a run, the one of its seeds whose policy acts. By default 0, or the
-            first of a run.
+        acting: Source of the actions. By default the newest policy of a run, or the first of these that a task has.
+        seed: Random seed of the starts and goals; for a run, also the seed whose policy acts. By default 0, or the run's
+            first.
         steps: Total number of control steps. By default ten seconds, or one episode for a sheet.
-        size: Height and width of a frame, or of one moment of a sheet. By default as the format has.
+        size: Height and width of a frame, or of one moment of a sheet. By default those of the format.
         fps: Largest number of frames per second. By default 25, or 12.5 for a .gif or .webp.
         camera: Camera of the task. By default the task's own. An unknown name lists the valid ones.
         policy: Method whose trained policy acts in a task, of those that ship. An unknown name lists them. By default none.

@@ -36,19 +36,19 @@ SHARED = {
     "hosts": "Run as one of several hosts: auto on a cluster that jax detects, else ADDRESS:PORT,HOSTS,NUMBER. By default "
     "there is one.",
     "json": "Print one JSON object on stdout.",
-    "labels": "Names of the lines, one for each, in the order in which they are shown. By default method and options.",
-    "last": "Evaluations at the end of a run that its score averages. By default those of its last tenth, at least five. 1 is "
-    "the paper's last policy.",
+    "labels": "A name for each line, in the order in which they are shown. By default method and options.",
+    "last": "Number of evaluations at the end of a run that its score averages. By default those of its last tenth, at least "
+    "five. 1 is the paper's.",
     "log": "Loggers to use besides metrics.csv. By default none. A resumed run uses the same ones.",
     "max_lanes": "Largest number of lanes (runs x seeds) in one program. By default there is no limit.",
     "metric": "Column of metrics.csv to show, compare or rank by, highest first, such as interventions. By default the deployed "
     "score, to which plot and table add the continuing one.",
-    "minutes": "Limit of wall-clock time from the start of the command. Training ends after the chunk of steps in which it "
-    "runs out, with a checkpoint and exit code 0. By default there is none.",
-    "per_device": "Number of programs that train on each GPU of this machine at a time, through NVIDIA MPS, or auto for the "
-    "measured number; on a machine without a GPU, number of programs at a time. By default one, on one GPU.",
+    "minutes": "Limit of wall-clock time from the start of the command. Training then ends after the current chunk of steps, "
+    "with a checkpoint and exit code 0. By default there is none.",
+    "per_device": "Number of programs that train at a time on each GPU of this machine, through NVIDIA MPS, or without a GPU on "
+    "its CPU; auto takes the measured number. By default one program, on one GPU.",
     "set": "Options of the task, the setting or the method as name=value pairs.",
-    "window": "Steps at the end of a run whose evaluations its score averages, instead of --last.",
+    "window": "Number of steps at the end of a run whose evaluations its score averages, instead of --last.",
 }
 """What arguments of several commands mean."""
 CONTINUED = re.compile(r"\n {8,}(?=\S)")

@@ -184,7 +184,7 @@ def best(
     window: int | None = None,
     json: bool = False,
 ) -> None:
-    """Rank the runs of a sweep, and say which of them cannot be told from the best of their task.
+    """Rank the runs of a sweep, and test which of them differ from the best of their task.
 
     Args:
         folders: Folders of sweeps, or run folders; seeds of the same task, method and options are pooled.
@@ -243,10 +243,10 @@ def report(
     Args:
         folders: Run folders, or folders that contain them, such as those of a sweep or of a reproduction.
         out: Page to write, .html. An existing page is replaced.
-        watch: Write the page again whenever a run changes, for a sweep in progress, until Ctrl-C. In a browser it reloads.
-        every: Seconds between two looks at the runs with --watch.
-        videos: Render six seconds of a policy of each run with policies.npz, its median seed, for the page. It takes some
-            seconds a run, and needs the extra render.
+        watch: Write the page again whenever a run changes, until Ctrl-C; a browser reloads it. For a sweep in progress.
+        every: Seconds between checks for changes with --watch.
+        videos: Add six seconds of the median seed's policy of each run with policies.npz. This takes some seconds a run,
+            and needs the extra render.
     """
     import jax
 

@@ -128,7 +128,7 @@ def reproduce(
         scale: smoke trains one task for 120 steps; short, a tenth of the published steps; full, all of them.
         out: Folder that all tables and figures share for runs and results. runs/reproduce-SCALE by default.
         tasks: Tasks to include. By default those of the scale.
-        seeds: Number of seeds. By default 2, 3 or 5, as the scale has.
+        seeds: Number of seeds. By default the scale's 2, 3 or 5.
         steps: Training steps of each seed. By default those of the scale.
     """
     limit = parse_minutes(minutes)

@@ -55,16 +55,16 @@ def train(
             default 5, or those of --config or --preset.
         steps: Training steps of each seed. By default 100,000, or those of --preset.
         out: New folder for config.json, metrics.csv and checkpoints.
-        config: Run folder, or a config.json, of a run to repeat, in place of the task, the method and their options. --seeds
-            takes other seeds. By default none.
-        preset: Seeds, schedule and options by name, from `earl-jax list`; what is given besides wins. By default none.
+        config: Run folder or config.json of a run to repeat, instead of a task, a method and options. --seeds takes other
+            seeds. By default none.
+        preset: Seeds, schedule and options by name, from `earl-jax list`; other arguments override them. By default none.
         eval_every: Steps between evaluations. By default 10,000, or those of --preset.
         eval_episodes: Greedy episodes of each deployed evaluation. By default 10, or those of --preset.
         checkpoint_every: Steps between checkpoints. By default 100,000, or those of --preset.
-        setting: deployment scores the final policy; continuing, the rewards during training (docs/formalism.md). By default
-            deployment.
+        setting: Who chooses task goals: in deployment, each attempt draws one; in continuing, the environment changes it on a
+            schedule (docs/formalism.md). By default deployment.
         videos: Number of videos of the first seed's policy, spread evenly over the evaluations, the last one at the end. They
-            are in the folder videos of --out and in the logs of --log. A resumed run goes on with them. They need the extra
+            go to the folder videos in --out and to the loggers of --log. A resumed run continues them. They need the extra
             render. By default none.
         overwrite: Remove the results of an earlier run in the folder. A folder with other files is refused.
     """

@@ -272,8 +272,8 @@ def _box(bound: float, size: int) -> "Box":
 class KinematicEnv(Env):
     """A task of plain arithmetic, without a physics engine.
 
-    It writes `name`, `state_size`, `action_size`, `goal_states`, `initial_states`, `reset`, `transition`, `success` and
-    `reward`.
+    A subclass defines `name`, `state_size`, `action_size`, `goal_states`, `initial_states`, `reset`, `transition`,
+    `success` and `reward`.
     """
 
     @abc.abstractmethod

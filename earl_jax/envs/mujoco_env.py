@@ -21,8 +21,8 @@ SUBSTEPS = Interval("[1, 1000]", whole=True)
 class MujocoEnv(Env):
     """A task with a MuJoCo model: `engine` is `auto`, `mjx`, `c` or `warp`; a control step has `substeps` physics steps.
 
-    The model is `assets/mjcf/<name>.xml`, unless `model` names another. A task writes what a `KinematicEnv` does, with
-    `control`, `observe` and `control_step` in the place of `transition`.
+    The model is `assets/mjcf/<name>.xml`, unless `model` names another. A subclass defines what one of
+    `KinematicEnv` does, with `control`, `observe` and `control_step` instead of `transition`.
     """
 
     engine: Literal["auto", "mjx", "warp", "c"] = "auto"

@@ -1,8 +1,8 @@
 """Scores of methods over several tasks: probability of improvement, performance profiles, optimality gap.
 
 Source: Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice", sections 4.2 and 4.3.
-Scores are normalised, so that 1 is the score to reach. Intervals are percentiles of a bootstrap that resamples the seeds of
-each task by themselves.
+Scores are normalised: 1 is the score to reach. Intervals are percentiles of a bootstrap that resamples the seeds of each
+task separately.
 """
 
 import numpy as np

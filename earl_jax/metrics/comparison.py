@@ -120,7 +120,7 @@ def _quantile(seeds: int) -> float:
 def welch(sample: Sample, other: Sample) -> Comparison:
     """Return `sample` minus `other` by Welch's test of means with unequal variances.
 
-    There is no p if a sample has one seed, or if neither has a spread, and then no interval, nor with fewer than three seeds.
+    p is nan if a sample has one seed or neither has a spread. The interval is nan too, as it is for fewer than three seeds.
     """
     difference, freedom = sample.mean - other.mean, _freedom(sample, other)
     error = math.hypot(sample.stderr, other.stderr)
@@ -200,7 +200,7 @@ def detectable_difference(sample: Sample, other: Sample) -> float:
 def holm(values: Sequence[float], tests: int = 0) -> np.ndarray:
     """Return Holm's adjusted p [k] of the p `values [k]` of one family; those that are nan do not count and stay nan.
 
-    A family of more `tests` has others, whose p are larger.
+    With more `tests` than `values`, the family has further tests, whose p are larger.
     """
     p = np.asarray(values, float)
     order = np.argsort(p)[: np.count_nonzero(~np.isnan(p))]  # nan sorts last

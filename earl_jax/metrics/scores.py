@@ -25,9 +25,9 @@ RATES = frozenset({SUCCESS, WIDE, FORWARD, BACK, ALIVE, DIVERGED, OVER})
 
 
 def as_decimals(values: np.ndarray) -> np.ndarray:
-    """Return the float64 numbers with the fewest digits that give float32 `values` back, or integers as they are.
+    """Return the shortest decimals, as float64, that round to the float32 `values`; integers stay as they are.
 
-    Means of equal shares are equal then, so that tests count ties, and tables are a third smaller.
+    Means of equal shares are then equal, which lets tests count ties, and tables are a third smaller.
     """
     return values.astype(str).astype(float) if values.dtype.kind == "f" else values
 

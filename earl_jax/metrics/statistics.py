@@ -59,7 +59,7 @@ def stderr(scores: Any) -> Any:
 
 
 def iqm(scores: Any, axis: int | None = None) -> Any:
-    """Return the interquartile mean of `scores`: that without the lowest and the highest quarter; nan if a score is nan."""
+    """Return the interquartile mean of `scores`, without the lowest and the highest quarter; nan if a score is nan."""
     xp = namespace_of(scores)
     scores = xp.asarray(scores)
     scores, position = (scores.ravel(), 0) if axis is None else (scores, axis % scores.ndim)

@@ -60,7 +60,7 @@ PRESETS = {
 def preset(name: str, env: str | None = None, **changes: Any) -> dict[str, Any]:
     """Return the keyword arguments of `train` that the preset `name` stands for on the task `env`, with `changes`.
 
-    Seeds and schedule are always among them, the steps as far as the preset or the paper has some for the task.
+    They include the seeds and the schedule. The steps of a preset of the published length need `env` or `changes`.
 
     Raises:
         ValueError: there is no such preset, or the paper has no number of steps for the task and `changes` has none.

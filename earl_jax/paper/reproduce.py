@@ -75,7 +75,7 @@ def reproduce(
     Args:
         name: one of `ARTEFACTS`.
         scale: one of `SCALES`: `smoke`, end to end in a minute; `short`, a tenth of the paper; `full`, the paper.
-        out: the folder of runs and results; the same call goes on with the runs that are there.
+        out: the folder of runs and results; the same call continues the runs in it.
         tasks: only these of the artefact's tasks.
         seeds: number of seeds instead of the scale's.
         steps: length of the runs instead of the scale's, of which the part after the last whole `eval_every` is left out.

@@ -193,7 +193,7 @@ def _with_goal(env: Env, state: ProtocolState, goal: jax.Array, is_set: bool) ->
 
 @package_types()
 def intervene(env: Env, state: ProtocolState) -> ProtocolState:
-    """Return the life after an intervention that the caller orders, which is counted: s0 ~ rho and a task goal.
+    """Return the life after an intervention by the caller, which is counted: a start s0 ~ rho and a task goal.
 
     The goal is another one in the deployment setting, and the one of the schedule in the continuing setting. In a life
     that has ended, only the goal changes.

@@ -85,7 +85,7 @@ def tabulate(
     Args:
         folders: run folders; seeds of the same task, method and options are pooled.
         window: the evaluations at the end of a run that are averaged; the paper's table 1 has the last one.
-        metric: a column of metrics.csv, of which alone a row then has the mean and its interval.
+        metric: a column of metrics.csv. A row then has only its mean and interval.
         names: a name for each row; by default its method, with the options that tell it from others.
 
     Raises:

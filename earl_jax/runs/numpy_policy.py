@@ -15,7 +15,7 @@ class NumpyPolicy:
 
     `layers` are the kernels [k, l] and biases [l] of the network. After training with a budget for help, it observes a
     full budget at index `budget_at`. After training in `bf16`, it rounds where the learner does, because such a policy
-    can fail without.
+    can fail without this rounding.
     """
 
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]

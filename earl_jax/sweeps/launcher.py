@@ -23,7 +23,7 @@ class Outcome(NamedTuple):
 
 
 class Stopped(SystemExit):
-    """The signal `number` stopped a sweep, whose `outcome` so far it has."""
+    """The signal `number` stopped a sweep; `outcome` is that of the sweep so far."""
 
     def __init__(self, number: int, outcome: Outcome):
         super().__init__(128 + number)

@@ -142,8 +142,8 @@ def resume(
         logs: objects that receive the metrics, besides those of the run that it names in `train`.
 
     Raises:
-        ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, or the run's
-            objects must be registered or passed, or have other options, or its checkpoints were removed.
+        ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, its checkpoints were
+            removed, or the run's objects have other options or are neither registered nor passed.
     """
     require_jax()
     for noun, given, kind in (("task", env, Env), ("method", algo, Method)):

@@ -33,8 +33,8 @@ def lifetime(
             it is a static argument.
 
     Raises:
-        ValueError: `problem` or `method` is another object, such as a name, `steps` and the protocol are inconsistent,
-            there are no steps, they are traced, `keys` has not one axis, or as `check_method` and `prepare`.
+        ValueError: `problem` or `method` is another object, such as a name; `steps` is missing, traced or inconsistent
+            with the protocol; `keys` does not have one axis; or as in `check_method` and `prepare`.
     """
     require_object("problem", problem, Problem, or_name=False)
     require_object("method", method, Method, or_name=False)

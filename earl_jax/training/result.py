@@ -159,7 +159,7 @@ class Result:
 
 
 def load(folder: str | Path) -> Result:
-    """Return the run in `folder`, which needs no checkpoint: its config, its metrics and, when they are asked for, its policies.
+    """Return the run in `folder`: its config, its metrics and, on demand, its policies. It needs no checkpoint.
 
     Nothing is trained or compiled. The class of the method need not be registered here, nor, without a budget for help,
     that of the task; only `Result.env` and `Result.method` need them.
@@ -176,7 +176,7 @@ def load(folder: str | Path) -> Result:
 
 
 def select_seed(state: Any, i: int) -> Any:
-    """Return lane `i` of `state`: a `LaneState` out of a `TrainState`, or any tree of arrays with a leading lane axis.
+    """Return lane `i` of `state`: the `LaneState` of a `TrainState`, or the lane of any tree of arrays with a lane axis.
 
     Raises:
         IndexError: there is no such lane.

@@ -39,7 +39,7 @@ class Agent(struct.PyTreeNode):
 
 
 class SAC(Learner):
-    """Climb the minimum of two critics plus the policy's entropy, with a learnt temperature; the learner by default.
+    """Maximise the minimum of two critics plus the policy's entropy, with a learnt temperature; the default learner.
 
     Source: Haarnoja et al. 2018, "Soft Actor-Critic Algorithms and Applications", with the hyper-parameters of Sharma et
     al. 2022.
@@ -64,7 +64,7 @@ class SAC(Learner):
     """Whether to normalise the critics' hidden layers; not in the paper, but in later work (MEDAL, RLPD) for
     stability."""
     ensemble: int = struct.field(pytree_node=False, default=SOFT_CRITICS, metadata=within("[2, 100]"))
-    """Number of critics with the entropy term (paper: 2). The actor climbs the minimum of two, the mean of more, as in
+    """Number of critics with the entropy term (paper: 2). The actor maximises the minimum of two, or the mean of more, as in
     REDQ and RLPD (10)."""
     target_subset: int = struct.field(pytree_node=False, default=SOFT_CRITICS, metadata=within("[1, 100]"))
     """Number of these critics, drawn anew for each update, whose minimum is the target (REDQ, RLPD: 2, or 1)."""

@@ -29,11 +29,11 @@ class Agent(struct.PyTreeNode):
 
 
 class TD3(Learner):
-    """Climb the first of two critics with a deterministic policy, which takes a step for every `policy_delay` of theirs.
+    """Maximise the first of two critics with a deterministic policy, which is updated every `policy_delay` steps.
 
     With noise e ~ clip(N(0, target_noise), -noise_clip, noise_clip), both critics regress on
-    `scale r + (1 - terminal) gamma min_i Q'_i(s', clip(pi'(s') + e, -1, 1))`, and the policy climbs Q_1(s, pi(s)).
-    Deliberate differences: networks and their start are those of `SAC`, whose widths and step size (EARL's) are the
+    `scale r + (1 - terminal) gamma min_i Q'_i(s', clip(pi'(s') + e, -1, 1))`, and the policy maximises Q_1(s, pi(s)).
+    Deliberate differences: networks and their initialisation are those of `SAC`, with EARL's widths and step size as
     defaults (TD3: 400 and 300, 1e-3); the delay counts the steps of the lifetime; with `utd`, the critics learn from
     every batch and the policy from the last.
 

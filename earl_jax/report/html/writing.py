@@ -42,7 +42,7 @@ def write_page(
     """Write the page of the runs in and below `folders` to `out`, an .html file, and return the path.
 
     Runs that cannot be read are listed on the page with the cause, and named by a `RunWarning`. With `reload_seconds`, a
-    browser loads the page again as often. With `policies`, a video of a policy of each run is on the page. `window` has the
+    browser reloads the page that often. With `policies`, a video of a policy of each run is on the page. `window` has the
     evaluations that score a run.
 
     Raises:
@@ -113,10 +113,10 @@ def watch_page(
     policies: PolicyVideos | None = None,
     window: Window = DEFAULT,
 ) -> None:
-    """Write the page of `folders` to `out` again whenever a run changes, looking `every` so many seconds, until Ctrl-C.
+    """Write the page of `folders` to `out` again whenever a run changes, with a look every `every` seconds, until Ctrl-C.
 
-    The page reloads itself as often in a browser, and is never half written. After Ctrl-C it is written once more, without
-    that. Before the first run can be read it waits. With `policies`, the page has videos of policies.
+    In a browser the page reloads itself as often. It is never half written. After Ctrl-C it is written once more, without
+    reloading. Before the first run can be read it waits. With `policies`, the page has videos of policies.
 
     Raises:
         ValueError: `every` is under a second, `out` is not an .html file, or a library is missing.
