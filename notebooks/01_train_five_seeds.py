@@ -54,8 +54,8 @@ RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to
 
 The state contains the positions of gripper and mug and whether the mug is held. The observation adds
 the goal, which is a state too. The reward is 1 when gripper and mug are at their goal positions, else
-0. An action moves the gripper by up to 0.2 on each axis and closes it. The environment never resets
-itself: `train_horizon` steps pass between two interventions.
+0. An action moves the gripper by up to 0.2 on each axis and opens or closes it. The environment never
+resets itself. During training, an intervention resets it every `train_horizon` steps.
 """
 
 # %%
@@ -70,7 +70,7 @@ print(f"gripper {state.obs[:2]}, mug {state.obs[2:4]}, reward {state.reward}")
 ## Train
 
 In forward-backward RL, one controller carries the mug to its goal, another brings everything back, and
-they alternate forever. `OPTIONS` holds the hyper-parameters of the quickstart: smaller networks than the
+the two alternate. `OPTIONS` holds the hyper-parameters of the quickstart: smaller networks than the
 paper's and three changes that reduce training to minutes (`earl_jax/options/presets.py` names them).
 Without it, this is the paper's agent.
 
@@ -93,9 +93,9 @@ result = earl_jax.train(
 
 # %% [markdown]
 """
-Left, the deployed setting: every 10,000 steps the policy is evaluated from fresh starts, without
-learning. Right, the continuing setting: the reward that the agent earned during training. The line is
-the mean over seeds, the band its 95 % interval.
+The left panel shows the deployed score: every 10,000 steps the policy is evaluated from fresh starts,
+without learning. The right panel shows the continuing score: the reward that the agent earned during
+training. The line is the mean over seeds, and the band is its 95 % interval.
 """
 
 # %%
@@ -123,9 +123,8 @@ print(f"interventions: {result.metrics['interventions'][:, -1].astype(int).tolis
 """
 ## Visited positions
 
-Every lane counts the positions that its gripper visited. In reset-free training this map shows the
-whole history: first the walls, where young policies end up, then the paths between mug, coasters and
-home.
+Every lane counts the positions that its gripper visited. Without resets, this map shows the whole
+life: first the walls, where young policies end up, then the paths between mug, coasters and home.
 """
 
 # %%
@@ -180,8 +179,8 @@ plt.show()
 """
 ## The same as one pure function
 
-`train` calls a jitted program in chunks, so that it can log and save between them. To run whole
-lifetimes inside a program of your own, use `lifetime`. It is a pure function of its keys, which `jit`
+`train` calls a jitted program in chunks, and logs and saves between them. To run whole lives inside
+your own program, use `lifetime`. It is a pure function of its keys, which `jit`
 compiles as a whole. Here are five short lifetimes.
 """
 

@@ -95,7 +95,7 @@ Markdown(run_table(tabulate(folders)).text())
 Single evaluations are noisy: 20 episodes of a policy that succeeds half of the time have a standard error
 of 0.11, even if all seeds are equal. So a seed's score is the mean of its last five evaluations. The
 summary is the mean with a 95 % interval, which is wide for a few seeds, and the share of the seeds that
-reach 0.5: methods fail in some seeds more often than they fail a little in all.
+reach 0.5, because methods more often fail in some seeds than a little in all.
 """
 
 # %%
@@ -112,10 +112,10 @@ for algo, values in scores.items():
 ## The difference
 
 Overlapping intervals do not show that two methods are equal, and requiring disjoint intervals is stricter
-than 95 %. The question is about the difference. The permutation test asks how often a difference this large
-would come about if the seeds were dealt to the methods by chance. With few seeds only a large difference
-can be told from 0; the last number says how large. The verdict is the test's. The interval is Welch's, and
-near p = 0.05 the two can disagree. `earl-jax compare` prints the same for run folders, with Holm's correction
+than 95 %. So test the difference itself. The permutation test asks how often a difference this large
+would arise if the seeds were assigned to the methods at random. A few seeds can detect only a large
+difference; the last number printed below says how large. The verdict is that of the test. The interval is
+Welch's, and near p = 0.05 the two can disagree. `earl-jax compare` prints the same for run folders, with Holm's correction
 if there are several pairs.
 """
 
@@ -127,8 +127,8 @@ print(f"{METHODS[0]} against {METHODS[1]}: {interval}: {gap.verdict}; {SEEDS} se
 
 # %% [markdown]
 """
-The same at every evaluation. Where the band does not contain zero, the methods differ at that step. One
-such step among twenty evaluations is expected by chance.
+The right panel shows the difference at every evaluation. Where its band does not contain zero, the
+methods differ at that step. One such step among twenty evaluations is expected by chance.
 """
 
 # %%

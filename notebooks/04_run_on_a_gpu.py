@@ -89,8 +89,8 @@ Markdown("\n".join(rows))
 ## Speed by number of lanes
 
 The speed is in steps per second of all lanes together, each step with a control step and a gradient step.
-The first call compiles the program and stores it in `~/.cache/earl_jax`, so that a later start does not
-compile. The second call is timed, including one evaluation. `precision="bf16"` computes the networks'
+The first call compiles the program and stores it in `~/.cache/earl_jax`, where a later start finds it.
+The second call is timed, including one evaluation. `precision="bf16"` computes the networks'
 products in bfloat16 and everything else in float32.
 """
 

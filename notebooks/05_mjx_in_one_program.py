@@ -59,8 +59,8 @@ RUNS = Path(tempfile.mkdtemp(prefix="earl_jax-"))  # use a folder of your own to
 """
 ## A task on MJX
 
-`engine` is the one word for it: here, in `earl_jax.train(..., engine="mjx")`, `--engine mjx` on the command
-line, `engine = "mjx"` in the options of a sweep's grid, and in the adapters. `reset` and `step` are pure
+The option `engine` selects MJX everywhere: here, in `earl_jax.train(..., engine="mjx")`, as `--engine mjx` on
+the command line, as `engine = "mjx"` in the options of a sweep's grid, and in the adapters. `reset` and `step` are pure
 functions of one lane. The program of a step contains no callback and no foreign call.
 """
 
