@@ -15,14 +15,14 @@ from earl_jax.report.runs import Curves
 from earl_jax.report.style import AXES, legend_below, matplotlib, method_title, new_figure, save, step_axis, task_title
 from earl_jax.report.tables import Row, markdown_table
 
-WORDS = {"above": "▲ above", "below": "▼ below", CANNOT_TELL: f"? {CANNOT_TELL}"}
+WORDS = {"above": "▲ above", "below": "▼ below", CANNOT_TELL: "?"}
 WHOLE = 0.95
 """Share of its steps from which on a run counts as whole."""
 LEGEND = (
-    "A cell has our score, the published one over the same steps, and the verdict of a test over seeds (a permutation test; for "
-    "the Minitaur Welch's; p adjusted over the methods of a task): ▲ above, ▼ below, or ? where the seeds cannot tell. A cell "
-    f"with less than {100 * WHOLE:.0f} % of its steps shows its share. The score is success for the first three tasks and "
-    "return for the others. No runs of the Minitaur were released, so it has the printed score of the whole length. The "
+    "A cell has our score, the published one over the same steps, and the verdict of a test over seeds (permutation; for the "
+    "Minitaur Welch's; p adjusted over the methods of a task): ▲ above, ▼ below, or ? where the seeds cannot tell. A cell "
+    f"with less than {100 * WHOLE:.0f} % of its steps shows its share. The first three tasks are scored by success, the "
+    "others by return. No runs of the Minitaur were released, so it has the printed score of the whole length. The "
     "lightbulb is our reconstruction and is not compared."
 )
 SMOOTH = 10
