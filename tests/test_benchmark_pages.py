@@ -78,7 +78,10 @@ def test_the_summary_of_whole_cells_keeps_success_and_return_apart():
     ]
     text = grid.summary(rows).replace("\n", " ")
     assert "differences of 0.26 to 0.26 in success and 214 to 214 in return" in text
-    assert "Naive RL on Sawyer door is above (p = 0.04) and Oracle RL on Minitaur pen is below (p < 0.001)." in text
+    assert (
+        "Naive RL on Sawyer door is above the paper (p = 0.04) and Oracle RL on Minitaur pen is below the paper (p < 0.001)."
+        in text
+    )
 
 
 def test_the_kept_tables_are_redrawn_from_the_kept_runs():

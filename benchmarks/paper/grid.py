@@ -48,7 +48,7 @@ def summary(rows: Sequence[Row]) -> str:
     told = [row for row in whole if row["verdict"] in ("above", "below")]
     shares = [row["steps"] / row["of"] for row in run if not _is_whole(row)]
     differing = (
-        f"{method_title(row['algo'])} on {task_title(row['env'])} is {row['verdict']} ({_p_text(row['p_holm'])})"
+        f"{method_title(row['algo'])} on {task_title(row['env'])} is {row['verdict']} the paper ({_p_text(row['p_holm'])})"
         for row in told
     )
     sentences = (
