@@ -47,8 +47,8 @@ DEPLOYED = "deployed"
 LEAST = 0.001
 """The least p that is printed as a number."""
 FAMILY = """In this table a family has the tests of one difference on a task, at all ages: those between our
-runs, or those with the released runs. What `would be found` is without the adjustment: five seeds
-against five have an adjusted p of 0.056 or more among seven tests."""
+runs, or those with the released runs. The detectable difference is that of a test without the
+adjustment: five seeds against five have an adjusted p of 0.056 or more among seven tests."""
 
 
 def comparisons(root: Path = RUNS, seeds: Path = SEEDS) -> list[Row]:

@@ -200,7 +200,7 @@ def _pairs(runs: list[Curves]) -> Iterator[tuple[Curves, Curves]]:
 
 
 def tests_text(rows: list[dict[str, Any]]) -> str:
-    """Return a table of the `tests` that tell runs apart, and what the others would find."""
+    """Return a table of the `tests` that tell runs apart, and what the others could detect."""
     clear = [row for row in rows if row["verdict"] != CANNOT_TELL]
     found = [
         row["detectable"]

@@ -65,8 +65,8 @@ PROGRESS = {"above": "progress", "below": "decline", CANNOT_TELL: "no progress f
 CLAIM_RULE = (
     "Permutation tests of seeds over the same steps, the published ones of the released seeds (where none were released, "
     "Welch's of the printed numbers). p is adjusted by Holm over the comparisons of a claim on a task. Progress is the score "
-    "at the end of a life minus that at its beginning, of as many evaluations, by the paired t test of seeds. What a test "
-    "`would find` is the difference that Welch's, or the paired one, finds with a probability of 80 %."
+    "at the end of a life minus that at its beginning, of as many evaluations, by the paired t test of seeds. The "
+    "detectable difference is one that Welch's test, or the paired one, finds with a probability of 80 %."
 )
 
 
@@ -129,7 +129,7 @@ def _printed(claim: Claim) -> Row:
 
 
 def word(row: Row) -> str:
-    """Return whether the test of a claim agrees with the text, or what it would find."""
+    """Return whether the test of a claim agrees with the text, or what is detectable."""
     return verdict_text(row, words=WORDS if row["second"] else PROGRESS)
 
 

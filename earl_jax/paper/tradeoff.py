@@ -149,7 +149,7 @@ def _findings_table(lines: Lines) -> str:
         ]
         p_texts = [number_text(test[p], ".3f", 0.001) for p in ("p", "p_holm")]
         seeds = sum(map(len, line))
-        found = CANNOT_TELL + (f"; {_detectable(seeds):.2f} would be found" if seeds > 3 else ": fewer than four seeds")
+        found = CANNOT_TELL + (f" (detectable {_detectable(seeds):.2f})" if seeds > 3 else ": fewer than four seeds")
         rows.append([*name, *ends, number_text(test["difference"], ".3f"), *p_texts, WORDS.get(test["verdict"], found)])
     header = ["task", "method", "varied", "interventions", "final", "rank correlation", "p", "adjusted p"]
     return markdown_table([*header, "a larger value"], rows)

@@ -202,9 +202,9 @@ def comparison_columns(own: np.ndarray | Sample, other: np.ndarray | Sample, pre
 
 
 def verdict_text(row: Row, number: Callable[[float], str] = number_text, words: Mapping[str, str] | None = None) -> str:
-    """Return the verdict of a row, or the one of `words` for it; where it cannot tell, with the cause or what would be found.
+    """Return the verdict of a row, or the one of `words` for it; `cannot tell` has its cause or the detectable difference.
 
-    That is the difference that its test finds with a probability of 80 %, by `number`.
+    `number` formats this difference, which its test would find with a probability of 80 %.
     """
     text = str((words or {}).get(row["verdict"]) or row["verdict"])
     if row["verdict"] != CANNOT_TELL:
@@ -214,12 +214,12 @@ def verdict_text(row: Row, number: Callable[[float], str] = number_text, words: 
     if math.isnan(row["p"]) and row["detectable"] != 0:
         return f"{text}: a test needs two seeds of each"
     if math.isnan(row["detectable"]):
-        return f"{text}: fewer than three seeds do not say what would be found"
+        return f"{text}: fewer than three seeds do not say what they could detect"
     if row["detectable"] == 0:
         return f"{text}: all seeds are equal" if row["difference"] == 0 else f"{text}: no spread"
     if math.isclose(row["p"], smallest_p(row["seeds"], row["other_seeds"])):
         return f"{text}: the seeds do not overlap, but so few can have no smaller p"
-    return f"{text}; {number(row['detectable'])} would be found"
+    return f"{text} (detectable {number(row['detectable'])})"
 
 
 def compared_texts(row: Row, style: str = "", prefix: str = "", **words: str) -> list[str]:

@@ -31,8 +31,8 @@ TEST_RULE = (
 )
 FAMILY_RULE = (
     "p is adjusted by Holm over a family: the tests that answer one question on one task, here {family}. The verdict is above or "
-    "below if the adjusted p is under 0.05, else `cannot tell`, with the difference that Welch's test would find with a "
-    "probability of 80 % without the adjustment."
+    "below if the adjusted p is under 0.05, else `cannot tell`, with the detectable difference, which Welch's test "
+    "would find with a probability of 80 % without the adjustment."
 )
 INTERVAL_RULE = (
     f"{TEST_RULE} Table 1 is tested by scores of seeds, means over {DEFAULT.text}; the printed numbers are of the last "

@@ -51,7 +51,7 @@ TEXTS = {
         "- sawyer_door: 0.94 of vaprl is one lucky evaluation",
     ],
     "figure2": [
-        "| 0.762 | 0.762 | cannot tell; 81.6 would be found | restored | agrees |",
+        "| 0.762 | 0.762 | cannot tell (detectable 81.6) | restored | agrees |",
         "| cheetah_run | 100,000 | 395.0 [341.3, 448.7] | ",
         "- cheetah_run, with the biased update: 2,000; 5,000; 10,000; 20,000; 200,000",
     ],
