@@ -1,7 +1,6 @@
 """The tables of the pages follow from the kept runs, and say what was not run."""
 
 import itertools
-import re
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from earl_jax.paper.reproduce import ARTEFACTS
 from earl_jax.report.tables import millions, number_text
 from tests.report.run_files import DOOR, change_config, rising, write_run
 from tests.test_differences import FORMER, VARIANT
+from tests.test_docs import table_rows
 
 
 @pytest.mark.parametrize("module", redraw.PAGES, ids=lambda module: module.__name__.rpartition(".")[2])
@@ -127,20 +127,12 @@ TASKS = {"tabletop": pairs.TABLETOP, "door": DOOR, "peg": pairs.PEG}
 RESULTS_PAGE = output.DOCS / "results.md"
 
 
-def replay_lines():
-    """Yield task, method and the other cells of each line of the table of the released replay."""
-    for line in RESULTS_PAGE.read_text().splitlines():
-        if re.match(r"\| (tabletop|door|peg), .*\d", line):
-            name, *values = [cell.strip() for cell in line.strip("|").split("|")]
-            task, method = name.split(", ")
-            if len(values) == 6:
-                yield TASKS[task], method.lower().removesuffix(" rl"), values
-
-
 def test_the_table_of_the_released_replay_has_the_tests_of_its_runs():
-    tested = list(replay_lines())
+    tested = table_rows(RESULTS_PAGE.read_text(), "| released replay")
     assert len(tested) == 12
-    for env, algo, values in tested:
+    for name, *values in tested:
+        task, method = name.split(", ")
+        env, algo = TASKS[task], method.lower().removesuffix(" rl")
         own = [row for row in REPLAYS if (row["env"], row["metric"]) == (env, "deployed")]
         [paper] = [row for row in own if (row["first"], row["second"]) == (algo, "published")]
         [kept] = [row for row in own if (row["first"], row["second"]) == (f"{algo}/{pairs.ALL_KEPT}", algo)]

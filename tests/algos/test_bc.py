@@ -21,9 +21,8 @@ def test_cloning_lowers_the_error_on_the_demonstrations_of_each_controller(probl
     method, learner = tiny_method("bc", controllers=2), make_algo("bc", hidden_sizes=[16], batch_size=64).learner
     demos = demo_steps(problem, method)
     agents = jax.jit(jax.vmap(lambda key: learner.init(key, 12, 3)))(jax.random.split(jax.random.key(0), 2))
-    actors, losses = jax.jit(lambda key, actors: clone(key, learner, actors, demos, 150, 3e-3))(
-        jax.random.key(1), agents.actor
-    )
+    cloned = jax.jit(lambda key, actors: clone(key, learner, actors, demos, 150, 3e-3))
+    actors, losses = cloned(jax.random.key(1), agents.actor)
     assert losses.shape == (2, 150)
     assert (losses[:, -20:].mean(axis=1) < 0.6 * losses[:, 0]).all()
     both = [jax.tree.map(lambda leaf, c=c: leaf[c], actors) for c in (0, 1)]
@@ -55,12 +54,8 @@ def test_bc_has_no_random_steps_unless_asked_and_clones_inside_the_first_program
 
 def test_any_method_can_clone_first_with_a_noise_of_its_choice(problem):
     """It has the actor of BC, whose noise plays no part."""
-    noisy, quiet = (
-        make_train_state(problem, tiny_method("risc", **OPTIONS["bc"], pretrain_log_std=std), [0, 1]).lanes.agent.actor[
-            "params"
-        ]
-        for std in (None, -3.0)
-    )
+    methods = [tiny_method("risc", **OPTIONS["bc"], pretrain_log_std=std) for std in (None, -3.0)]
+    noisy, quiet = (make_train_state(problem, own, [0, 1]).lanes.agent.actor["params"] for own in methods)
     cloned, tolerance = lived("bc").start.lanes.agent.actor["params"], {"rtol": 1e-4, "atol": 1e-5}
     for layers in (noisy, quiet):
         assert_equal_trees(layers["hidden_0"], cloned["hidden_0"], **tolerance)

@@ -152,8 +152,7 @@ def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem
     assert env.success(demonstrated[-12:]).all()
     own = demos.of(RETURN)
     assert len(own.obs) == 4 * len(backward.ends)
-    np.testing.assert_array_equal(
-        own.obs[:, 6:].reshape(4, -1, 6), np.repeat(env.goal_states[:, None], len(backward.ends), 1)
-    )
+    goals = np.repeat(env.goal_states, len(backward.ends), axis=0)
+    np.testing.assert_array_equal(own.obs[:, 6:], goals)
     np.testing.assert_array_equal(own.obs[: len(backward.ends), :6], backward.states)
     np.testing.assert_array_equal(own.action, np.tile(backward.actions, (4, 1)))

@@ -15,15 +15,7 @@ from earl_jax.algos.method import RETURN, TASK, Moment, controller_count
 from earl_jax.training import loop
 from tests.algos.lives import OPTIONS, lived
 from tests.algos.transitions import make_batch
-from tests.conftest import (
-    CHUNK,
-    assert_all_finite,
-    make_train_state,
-    own_algos,
-    run_whole,
-    take_lane,
-    tiny_method,
-)
+from tests.conftest import CHUNK, assert_all_finite, make_train_state, own_algos, run_whole, take_lane, tiny_method
 from tests.envs.chain import Chain
 
 KEYS = jax.random.split(jax.random.key(0), 300)

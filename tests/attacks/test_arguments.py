@@ -3,7 +3,7 @@
 import pytest
 
 from tests.attacks.conftest import refused
-from tests.cli.process import TASK, run, training, unchanged
+from tests.cli.process import TASK, run, unchanged
 
 pytestmark = pytest.mark.usefixtures("no_training")
 DIGITS = "9" * 400
@@ -18,6 +18,7 @@ SETS = (
     "reward_type=x", "precision=fp4", "\0=1", "discount=\ud800", "😀=1", " discount=0.9",
 )  # fmt: skip
 NUMBERS = {
+    "--set": SETS,
     "--steps": ("0", "-1", "1.5", "x", "", DIGITS, "3000000000000"),
     "--seeds": ("0", "-1", "x", "1000000000", DIGITS),
     "--eval-every": ("0", "7", "x", DIGITS),
@@ -50,19 +51,12 @@ def shown(value):
     return ascii(text)[1:-1] if len(text) < 60 else f"{ascii(text[:30])[1:-1]}... of {len(text)} characters"
 
 
-@pytest.mark.parametrize("text", SETS, ids=shown)
-def test_an_option_without_a_meaning_is_refused(text, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    refused(run(*training("run"), text))
-    assert not any(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     "arguments",
     [(TASK, option, value) for option, values in NUMBERS.items() for value in values] + [(task,) for task in TASKS],
     ids=shown,
 )
-def test_a_number_or_name_without_a_meaning_is_refused(arguments, tmp_path, monkeypatch):
+def test_an_option_number_or_name_without_a_meaning_is_refused(arguments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     refused(run("train", arguments[0], "--steps", "120", "--out", "run", *arguments[1:]))
     assert not any(tmp_path.iterdir())

@@ -8,6 +8,7 @@ from earl_jax.cli.main import COMMANDS
 from tests.cli.process import run
 
 SHOWN = {
+    "": [*COMMANDS, "--import FILE"],
     "list": ["[NAME]"],
     "train": [
         "[TASK]", "--algo METHOD", "--seeds SEEDS", "--set NAME=VALUE ...", "--log {tensorboard,wandb} ...",
@@ -18,19 +19,13 @@ SHOWN = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_names_values_and_says_defaults_in_words(command, monkeypatch):
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help_names_commands_and_values_and_says_defaults_in_words(command, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
-    code, page, _ = run(command, "--help")
+    code, page, _ = run(*filter(None, [command]), "--help")
     assert (code, f"usage: earl-jax {command}" in page) == (0, True)
     assert not re.search(r"None|\(default: \)|\[\[|\bSTR\b|\.\.\.\]\]|\|\{", page)
     assert [text for text in SHOWN.get(command, ()) if text not in page] == []
-
-
-def test_help_lists_the_commands():
-    code, page, _ = run("--help")
-    assert code == 0
-    assert [command for command in [*COMMANDS, "--import FILE"] if command not in page] == []
 
 
 def test_the_help_of_a_narrow_terminal_is_that_of_forty_columns(monkeypatch):

@@ -37,33 +37,29 @@ def test_commands_that_train_set_the_flags_and_print_them_once(monkeypatch, caps
         assert capsys.readouterr().err.count(" ".join(ADDED)) == printed
 
 
-@pytest.mark.usefixtures("plugin")
 @pytest.mark.parametrize(
-    ("environment", "expected"),
+    ("environment", "known", "expected"),
     [
-        ({}, ADDED),
-        ({"XLA_FLAGS": f"--{NAME}=false"}, ADDED[1:]),
-        ({"XLA_FLAGS": f"--{NAME}"}, ADDED[1:]),
-        ({"XLA_FLAGS": f"--{NAME}_of_another=1"}, ADDED),
-        ({"XLA_FLAGS": "/path/of/flags"}, []),
-        ({"JAX_PLATFORMS": "cpu"}, []),
-        ({"JAX_PLATFORMS": "cuda,cpu"}, ADDED),
+        ({}, TABLE, ADDED),
+        ({"XLA_FLAGS": f"--{NAME}=false"}, TABLE, ADDED[1:]),
+        ({"XLA_FLAGS": f"--{NAME}"}, TABLE, ADDED[1:]),
+        ({"XLA_FLAGS": f"--{NAME}_of_another=1"}, TABLE, ADDED),
+        ({"XLA_FLAGS": "/path/of/flags"}, TABLE, []),
+        ({"JAX_PLATFORMS": "cpu"}, TABLE, []),
+        ({"JAX_PLATFORMS": "cuda,cpu"}, TABLE, ADDED),
+        ({}, f"\0{NAME}_of_another\0".encode(), []),
+        (
+            {},
+            b"\0".join(name.encode() for name in xla_flags.FLAGS) + b"\0",
+            ADDED[:1],
+        ),  # without the text of the second
     ],
 )
-def test_the_users_flags_and_platform_win(environment, expected):
+def test_the_users_flags_and_platform_win_and_the_plugin_must_know_a_flag_and_its_value(
+    plugin, environment, known, expected
+):
+    plugin.write_bytes(known)
     assert xla_flags.helpful_flags(environment) == expected
-
-
-@pytest.mark.parametrize(
-    ("content", "expected"),
-    [
-        (f"\0{NAME}_of_another\0".encode(), []),
-        (b"\0".join(name.encode() for name in xla_flags.FLAGS) + b"\0", ADDED[:1]),  # without the text of the second
-    ],
-)
-def test_a_flag_or_value_that_the_plugin_does_not_know_is_not_set(plugin, content, expected):
-    plugin.write_bytes(content)
-    assert xla_flags.helpful_flags({}) == expected
 
 
 def test_a_flag_that_jaxlib_does_not_know_or_without_a_plugin_is_not_set(plugin, monkeypatch):

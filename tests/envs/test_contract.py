@@ -10,17 +10,7 @@ import pytest
 
 from benchmarks.physics.minitaur_trots import loop_error
 from earl_jax import physics
-from earl_jax.envs import (
-    PAPER_TASKS,
-    Env,
-    HelpBudget,
-    KinematicEnv,
-    MujocoEnv,
-    env_class,
-    list_envs,
-    make,
-    with_engine,
-)
+from earl_jax.envs import PAPER_TASKS, Env, HelpBudget, KinematicEnv, MujocoEnv, env_class, list_envs, make, with_engine
 from earl_jax.envs.dhand.observation import TABLE
 from tests.conftest import assert_all_finite, assert_equal_trees, to_numpy
 from tests.envs.chain import Chain
@@ -203,7 +193,7 @@ def changed(state, changes):
 
 
 @EVERY_TASK
-def test_broken_and_impossible_states_are_faults_and_those_out_of_reach_irreversible(name):
+def test_broken_and_impossible_states_are_faults_and_those_out_of_reach_irreversible_but_no_start(name):
     env = make(name)
     free, lost = [{}, *REVERSIBLE.get(name, [])], IRREVERSIBLE.get(name, [])
     broken = FAULTS.get(name, [{("obs", 0): np.nan}])
@@ -211,11 +201,6 @@ def test_broken_and_impossible_states_are_faults_and_those_out_of_reach_irrevers
     answers = jax.jit(lambda states: [jnp.stack([env.fault(s), env.irreversible(s)]) for s in states])(states)
     expected = [[False, False]] * len(free) + [[False, True]] * len(lost) + [[True, True]] * len(broken)
     assert [answer.tolist() for answer in answers] == expected
-
-
-@EVERY_TASK
-def test_no_start_is_irreversible(name):
-    env = make(name)
     assert not jax.jit(jax.vmap(env.irreversible))(starts(env)).any()
 
 
@@ -233,8 +218,13 @@ def test_a_goal_is_a_success_of_itself_and_every_goal_is_drawn(name):
 
 
 @EVERY_TASK
-def test_bad_actions_are_refused(name):
+def test_a_task_has_the_spaces_of_gymnasium_and_refuses_bad_actions(name):
     env = make(name)
+    spaces = (env.observation_space, env.observation_size, np.inf), (env.action_space, env.action_size, 1.0)
+    for space, size, bound in spaces:
+        assert (space.shape, space.dtype) == ((size,), np.float32)
+        assert (space.high == bound).all()
+        assert (space.low == -bound).all()
     for bad, size, message in ((0.0, 1, "shape"), (np.nan, 0, "not finite"), (np.inf, 0, "not finite")):
         action = np.zeros(env.action_size + size, np.float32)
         action[-1] = bad
@@ -249,18 +239,6 @@ def test_actions_and_goals_can_be_lists(env):
         moved = env.step(first_state(env), [0.0] * env.action_size)
         goal = env.goal_states[1].tolist()
         np.testing.assert_array_equal(env.with_goal(moved, goal).info["goal"], env.goal_states[1])
-
-
-@EVERY_TASK
-def test_a_task_has_the_spaces_of_gymnasium(name):
-    env = make(name)
-    for space, size, bound in (
-        (env.observation_space, env.observation_size, np.inf),
-        (env.action_space, env.action_size, 1.0),
-    ):
-        assert (space.shape, space.dtype) == ((size,), np.float32)
-        assert (space.high == bound).all()
-        assert (space.low == -bound).all()
 
 
 WRITTEN = {"state_size", "action_size", "goal_states", "initial_states", "reset", "success", "reward"}

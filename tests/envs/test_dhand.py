@@ -110,9 +110,7 @@ def test_the_papers_variant_has_the_same_reward_success_and_script():
     obs[:, 23:26] = rng.uniform([0.5, 0, 0.77], [0.9, 0.3, 1.1], (50, 3))
     obs[::2, 23:26] = task.TARGET + rng.uniform(-0.1, 0.1, (25, 3))
     obs[:, 29:32] = obs[:, 26:29] - obs[:, 23:26]
-    listed = np.concatenate(
-        [obs[:, :26], np.zeros((50, 3)), obs[:, 29:32], obs[:, 23:26] - task.TARGET, obs[:, 32:]], 1
-    )
+    listed = np.hstack([obs[:, :26], np.zeros((50, 3)), obs[:, 29:32], obs[:, 23:26] - task.TARGET, obs[:, 32:]])
 
     def answers(env, obs):
         parts = env.reward(obs), env.success(obs), env.map.position(obs), jax.vmap(env.demonstrations.expert)(obs)

@@ -21,10 +21,8 @@ def test_success_counts_at_any_step_within_the_horizon(env):
         return jnp.where(env.success(obs), 1.0, env.demonstrations.expert(obs))
 
     def results():
-        short, long = (
-            episode(env, env.demonstrations.expert, env.reset(KEY), horizon)["success"] for horizon in (10, 60)
-        )
-        return short, long, deployed(env, leaving, KEY, 60, 4)["deployed/success"]
+        runs = [episode(env, env.demonstrations.expert, env.reset(KEY), steps)["success"] for steps in (10, 60)]
+        return *runs, deployed(env, leaving, KEY, 60, 4)["deployed/success"]
 
     assert jax.jit(results)() == (0.0, 1.0, 1.0)
 

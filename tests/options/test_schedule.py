@@ -32,10 +32,6 @@ def test_the_shell_sweep_files_and_python_have_the_same_defaults(tmp_path, env):
         assert (evaluated.eval_every, evaluated.eval_episodes) == (Schedule.eval_every, Schedule.eval_episodes)
 
 
-def test_changes_that_are_none_keep_a_value():
-    assert Schedule(steps=40).changed(steps=None, eval_every=20) == Schedule(steps=40, eval_every=20)
-
-
 @pytest.mark.parametrize("name", FIELDS)
 @pytest.mark.parametrize(
     ("value", "message"),

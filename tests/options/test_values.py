@@ -139,13 +139,6 @@ def test_a_value_that_a_trace_hides_is_accepted():
     assert make_algo("naive", layer_norm=True, learning_rate=jnp.bfloat16(1e-3)).learner.layer_norm
 
 
-@pytest.mark.parametrize("discount", [1.0, "high", "0.9"])
-def test_objects_are_checked_where_they_are_trained(discount):
-    method = make_algo("naive")
-    with pytest.raises(InputError, match=rf"naive: discount must lie in \[0, 1\), not {discount!r}"):
-        train("tabletop_organization", method.replace(learner=method.learner.replace(discount=discount)), steps=10)
-
-
 def test_a_value_in_a_class_that_its_dataclass_ignores_is_refused():
     """Such a class used to train with the default of its base."""
     near = dataclasses.make_dataclass("Near", [], bases=(Chain,), namespace={"eval_horizon": 20}, frozen=True)
@@ -164,7 +157,7 @@ def test_a_class_whose_values_autoreload_has_replaced_by_equal_ones_is_accepted(
     assert far().eval_horizon == 1000
 
 
-def test_options_of_an_object_that_no_program_can_hold_are_named():
+def test_options_of_an_object_that_are_invalid_or_that_no_program_can_hold_are_named_where_it_is_trained():
     """An array as a static option trained once, and failed in jax with the next array; text failed in jax."""
 
     class Marked(Naive):
@@ -173,6 +166,7 @@ def test_options_of_an_object_that_no_program_can_hold_are_named():
         mode: Literal["a", "b"] = struct.field(pytree_node=False, default="a")
 
     for method, message in (
+        *[(Marked(SAC(discount=value)), rf"naive: discount must lie .* {value!r}") for value in (1.0, "high", "0.9")],
         (Marked(SAC(batch_size=2.0)), "naive: batch_size must be a whole number, not 2.0"),  # pyright: ignore[reportArgumentType]
         (Marked(weights=np.zeros(2)), r"naive: weights must be a plain value, .* not the array \[0.0, 0.0\]"),
         (Marked(mode="c"), "mode 'c' is not one of a, b"),  # pyright: ignore[reportArgumentType]

@@ -169,14 +169,9 @@ def test_a_spent_budget_ends_a_life_and_not_its_evaluation():
     ended = jax.tree.map(lambda leaf: leaf[-1, 0], lives)
     measure = jax.jit(lambda life: evaluate(env, Protocol(0, 4), life, lambda obs: jnp.array([RIGHT, RIGHT])))
     metrics = measure(ended)[1]
-    assert {name: float(value) for name, value in metrics.items() if name.startswith(("help/", "deployed/"))} == {
-        "help/asked": 2.0,
-        "help/enforced": 0.0,
-        "help/budget": 0.0,
-        "help/over": 1.0,
-        "deployed/success": 1.0,
-        "deployed/return": 1.0,
-    }
+    expected = {"help/asked": 2, "help/enforced": 0, "help/budget": 0, "help/over": 1}
+    expected |= {"deployed/success": 1, "deployed/return": 1}
+    assert {name: metrics[name] for name in metrics if name.startswith(("help/", "deployed/"))} == expected
 
 
 def test_a_life_of_a_name_or_a_setting_is_refused():

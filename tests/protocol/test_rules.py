@@ -26,22 +26,18 @@ def state_at(position, env=None):
     return (env or Chain()).state_at(position, [float(GOAL)])
 
 
-@pytest.mark.parametrize(
-    ("position", "changes", "expected"),
-    [
-        (1, {}, set()),
-        (GOAL, {}, {"reached", "phase_ended"}),
-        (GOAL, {"ends_on_success": False}, {"passed"}),
-        (GOAL, {"reset_at_end": True}, {"reached", "phase_ended", "env_reset"}),
-        (1, {"expires": True}, {"timeout", "phase_ended"}),
-        (1, {"expires": True, "reset_at_end": True}, {"timeout", "phase_ended", "env_reset"}),
-        (GOAL, {"expires": True}, {"reached", "phase_ended"}),
-    ],
-    ids=[
-        "goes on", "reaches its goal", "goes on at its goal", "success resets", "times out", "time-out resets",
-        "reaches its goal on its last step",
-    ],
-)  # fmt: skip
+ENDS = {
+    "goes on": (1, {}, set()),
+    "reaches its goal": (GOAL, {}, {"reached", "phase_ended"}),
+    "goes on at its goal": (GOAL, {"ends_on_success": False}, {"passed"}),
+    "success resets": (GOAL, {"reset_at_end": True}, {"reached", "phase_ended", "env_reset"}),
+    "times out": (1, {"expires": True}, {"timeout", "phase_ended"}),
+    "time-out resets": (1, {"expires": True, "reset_at_end": True}, {"timeout", "phase_ended", "env_reset"}),
+    "reaches its goal on its last step": (GOAL, {"expires": True}, {"reached", "phase_ended"}),
+}
+
+
+@pytest.mark.parametrize(("position", "changes", "expected"), ENDS.values(), ids=ENDS)
 def test_an_attempt_ends_at_its_goal_or_at_its_limit(position, changes, expected):
     assert step_end(state_at(position), TASK._replace(**changes)) == expected
 

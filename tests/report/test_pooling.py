@@ -76,17 +76,10 @@ def test_runs_are_pooled_over_their_common_steps(tmp_path):
 
 
 def test_the_score_of_a_pool_does_not_depend_on_the_order_of_its_runs(tmp_path):
-    paths = [
-        write_run(
-            tmp_path / str(seed),
-            TABLETOP,
-            "naive",
-            [np.arange(every, end + 1, every) / end],
-            range(every, end + 1, every),
-            [seed],
-        )
-        for seed, (every, end) in enumerate(((1, 100), (1, 10), (2, 100)))
-    ]
+    paths = []
+    for seed, (every, end) in enumerate(((1, 100), (1, 10), (2, 100))):
+        steps = range(every, end + 1, every)
+        paths.append(write_run(tmp_path / str(seed), TABLETOP, "naive", [np.divide(steps, end)], steps, [seed]))
     with warnings.catch_warnings(action="ignore"):
         pools = [read_all(order) for order in itertools.permutations(paths)]
     assert len({run.window for [run] in pools}) == 1

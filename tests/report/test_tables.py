@@ -57,9 +57,7 @@ def test_steps_per_reward_are_the_median_of_all_seeds_and_none_where_it_is_infin
 )
 def test_seeds_that_agree_are_trials_of_a_rate_but_not_of_the_reward_of_a_life(tmp_path, metric, trial):
     equal = {"continuing/reward": 0.0, ALIVE: 0.0, STILL: 0.0}
-    rows = tables.tabulate(
-        [write_run(tmp_path, TABLETOP, "naive", constant(0.0, 0.0, 0.0), metrics=equal)], metric=metric
-    )
+    rows = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", constant(0, 0, 0), metrics=equal)], metric=metric)
     assert ("| 0 |" in tables.run_table(rows).text()) == (not trial)
     assert [rows[0][end] for end in ("mean", "low", "high")] == pytest.approx(
         [0, 0, 0.5615] if trial else [0, np.nan, np.nan], abs=1e-4, nan_ok=True
@@ -98,6 +96,8 @@ def test_tables_are_written_as_markdown_latex_and_csv(tmp_path):
     assert read_csv(tmp_path / "new/t.csv")[0]["published_continuing"] == "0.012 (0.004)"
     assert "| 0.550 | 50% |" in (tmp_path / "new/t.md").read_text()
     assert r"& 0.550 & 50\%" in (tmp_path / "new/t.tex").read_text()
+    signs = tables.Table(["p", "x"], [["<0.001", "a|b > c_d"]]).latex()
+    assert r"$<$0.001 & a$|$b $>$ c\_d \\" in signs, "signs that LaTeX prints as others are in mathematics"
     with pytest.raises(ValueError, match=r"tables are written as \.md, \.tex, \.csv"):
         tables.write(rows, tmp_path / "t.txt")
 
@@ -175,16 +175,10 @@ def test_a_table_that_is_too_wide_has_a_block_for_each_row_and_wrapped_notes(wid
     assert ("\n" in note) == (width < 7)
 
 
-def test_steps_are_written_in_short_without_an_exponent():
+def test_steps_are_written_in_short_without_an_exponent_and_numbers_in_three_digits_or_without_a_fraction():
     texts = {500: "500", 20_000: "20k", 999_999: "1M", 2_500_000: "2.5M", 1_234_000_000: "1.23B"}
     assert {steps: tables.steps_text(steps) for steps in texts} == texts
 
-
-def test_signs_that_latex_prints_as_others_are_in_mathematics():
-    assert r"$<$0.001 & a$|$b $>$ c\_d \\" in tables.Table(["p", "x"], [["<0.001", "a|b > c_d"]]).latex()
-
-
-def test_numbers_are_written_in_three_digits_or_without_a_fraction():
     numbers = [0.012345, 999.4, 999.7, -2345.6, np.nan]
     assert list(map(tables.number_text, numbers)) == ["0.0123", "999", "1,000", "-2,346", "-"]
     assert tables.interval_text(34567.8, 5.4321, 123456.7, ".4g") == "34,568 [5.432, 123,457]"

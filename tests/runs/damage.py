@@ -108,18 +108,14 @@ CONFIG = [
     *(("format", text, f"its format is {text}, and this version of earl_jax reads 3") for text in ("0", "2", "[3]")),
     ("format", "4", "was written by a newer version of earl_jax: its format is 4, and this version"),
     ("format", None, "it names no format, and this version of earl_jax reads 3"),
+    ("file", b"", "config.json is damaged: "),
+    ("file", b"\xff" * 100_000, "config.json is damaged: UnicodeDecodeError: 'utf-8' codec can't decode byte 0xff"),
+    ("file", b"[]", "config.json is damaged: "),
+    ("file", b"\xef\xbb\xbf{}", "it names no format"),
+    ("file", b'{"steps": 1', "config.json is damaged: "),
+    ("file", b" " * (17 << 20), "config.json is larger than 16 MiB, the limit"),
 ]
-"""Entries of config.json, the text of another value (None removes the entry), and what the message says of it."""
-
-CONFIG_FILES = [
-    (b"", "config.json is damaged: "),
-    (b"\xff" * 100_000, "config.json is damaged: UnicodeDecodeError: 'utf-8' codec can't decode byte 0xff"),
-    (b"[]", "config.json is damaged: "),
-    (b"\xef\xbb\xbf{}", "it names no format"),
-    (b'{"steps": 1', "config.json is damaged: "),
-    (b" " * (17 << 20), "config.json is larger than 16 MiB, the limit"),
-]
-"""Contents of config.json, and what the message says of it."""
+"""Entries of config.json, the text of another value (None removes the entry) or the bytes of the file, and the message."""
 
 
 def set_entry(folder, key, text):

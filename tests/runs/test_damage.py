@@ -186,22 +186,15 @@ def build_all(folder):
     config.build_env(), config.build_method(), config.build_setting()
 
 
-def assert_refused(folder, cause):
-    for action in (lambda: build_all(folder), lambda: resume(folder)):
-        with unchanged(folder):
+@pytest.mark.parametrize(("key", "content", "cause"), damage.CONFIG, ids=lambda part: str(part)[:20])
+def test_a_damaged_config_or_entry_of_one_is_one_line(finished, key, content, cause):
+    if key == "file":
+        (finished / "config.json").write_bytes(content)
+    else:
+        damage.set_entry(finished, key, content)
+    for action in (lambda: build_all(finished), lambda: resume(finished)):
+        with unchanged(finished):
             assert cause in message_of(action)
-
-
-@pytest.mark.parametrize(("key", "text", "cause"), damage.CONFIG, ids=lambda part: str(part)[:20])
-def test_a_damaged_entry_of_a_config_is_one_line(finished, key, text, cause):
-    damage.set_entry(finished, key, text)
-    assert_refused(finished, cause)
-
-
-@pytest.mark.parametrize(("content", "cause"), damage.CONFIG_FILES, ids=lambda part: str(part)[:20])
-def test_a_damaged_config_is_one_line(finished, content, cause):
-    (finished / "config.json").write_bytes(content)
-    assert_refused(finished, cause)
 
 
 @pytest.mark.parametrize("log", ['"abacus"', "5"])

@@ -113,10 +113,8 @@ def run_as_nobody(*command):
         or subprocess.run([*python, "-c", "import earl_jax"], capture_output=True, env=env).returncode
     ):
         pytest.skip("running as another user needs root, and a Python that this user can read")
-    result = subprocess.run(
-        [*python, "-m", "earl_jax.cli", *map(str, command)], capture_output=True, text=True, env=env
-    )
-    return result.returncode, result.stderr
+    done = subprocess.run([*python, "-m", "earl_jax.cli", *map(str, command)], capture_output=True, text=True, env=env)
+    return done.returncode, done.stderr
 
 
 def test_another_user_can_read_a_run_and_cannot_write_to_it(others_run, tmp_path):

@@ -104,22 +104,18 @@ def test_a_truncated_table_is_continued_without_losing_or_repeating_a_row(folder
     assert folder.metrics.read_bytes() == original
 
 
-def test_a_run_folder_may_be_a_symbolic_link(folder, tmp_path):
-    (tmp_path / "latest").symlink_to(folder.path)
-    assert RunFolder.open(tmp_path / "latest").config.seeds == (3, 5)
-
-
 def test_a_full_disk_is_one_clear_error(folder, monkeypatch):
     monkeypatch.setattr(os, "fsync", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
     with pytest.raises(OSError, match=r"metrics\.csv can't be written: No space left .* earl-jax resume .* continues"):
         append_rows(folder, 40)
 
 
-def test_the_id_stays_when_the_run_is_extended_or_moved_and_is_text(folder, tmp_path):
+def test_the_id_stays_when_the_run_is_extended_or_moved_or_read_through_a_link_and_is_text(folder, tmp_path):
     before = folder.id
     folder.record(steps=240)
     moved = RunFolder.open(folder.path.rename(tmp_path / "moved"))
-    assert moved.id == before
+    (tmp_path / "latest").symlink_to(moved.path)
+    assert moved.id == RunFolder.open(tmp_path / "latest").id == before
     assert moved.config.steps == 240
     moved.record(id=1)
     with pytest.raises(ValueError, match="it has no id"):

@@ -178,24 +178,6 @@ def test_a_search_without_optuna_names_the_extra_and_leaves_no_folder(space, tmp
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("numbers", "message"),
-    [
-        ({"trials": 0}, r"trials must lie in \[1, 2147483647\], not 0"),
-        ({"devices": 0}, r"devices must lie in \[1, 2147483647\], not 0"),
-        ({"devices": 2}, "2 devices requested, but 1 available"),
-        ({"out": Path("gs://a/out")}, "gs:/a/out is an address"),
-        ({"seed": 2**32}, r"seed must lie in \[0, 2147483647\], not 4294967296"),
-        ({"batch": 2.5}, "batch must be a whole number, not 2.5"),
-    ],
-)
-def test_arguments_that_no_search_can_have_are_refused(space, tmp_path, batches, numbers, message):
-    with pytest.raises(ValueError, match=message):
-        search(space, **{"out": tmp_path / "out", **numbers})
-    assert not batches
-    assert not (tmp_path / "out").exists()
-
-
 UNIFORM = "uniform = [0.9, 0.99]"
 
 
@@ -216,12 +198,23 @@ UNIFORM = "uniform = [0.9, 0.99]"
         ((UNIFORM, "uniform = [0.9, 2.0]"), r"discount must lie in .*, not 2"),
         (("[1, 4]", "[-5, 4]"), "random_steps must be .*, not -5"),
         (("[[16], [32, 32]]", "[[16], [0]]"), "hidden_sizes must be"),
+        ({"trials": 0}, r"trials must lie in \[1, 2147483647\], not 0"),
+        ({"devices": 0}, r"devices must lie in \[1, 2147483647\], not 0"),
+        ({"devices": 2}, "2 devices requested, but 1 available"),
+        ({"out": Path("gs://a/out")}, "gs:/a/out is an address"),
+        ({"seed": 2**32}, r"seed must lie in \[0, 2147483647\], not 4294967296"),
+        ({"batch": 2.5}, "batch must be a whole number, not 2.5"),
     ],
 )
-def test_a_space_is_refused_before_the_first_trial_also_for_a_value_that_could_be_drawn_later(
+def test_spaces_and_arguments_are_refused_before_the_first_trial_also_for_a_value_that_could_be_drawn_later(
     space, tmp_path, batches, change, message
 ):
-    space.write_text(SPACE.replace(*change))
+    arguments = {"out": tmp_path / "out", "trials": 1}
+    if isinstance(change, dict):
+        arguments |= change
+    else:
+        space.write_text(SPACE.replace(*change))
     with pytest.raises(ValueError, match=message):
-        search(space, tmp_path / "out", trials=1)
+        search(space, **arguments)
+    assert not batches
     assert not (tmp_path / "out").exists()

@@ -155,35 +155,25 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
     problem, keys = make_problem(Chain()), seed_keys([0, 1])
 
     def lived(**functions):
-        method = type("Odd", (Method,), {"name": "odd", **functions})(SAC(hidden_sizes=(8,), batch_size=16))
-        method = per_lane(method, 2)
+        members = {"name": "odd", "refresh_every": 2, **functions}
+        method = per_lane(type("Odd", (Method,), members)(SAC(hidden_sizes=(8,), batch_size=16)), 2)
         return scan.run_steps(problem, method, init_train_state(problem, method, keys, 4), 4)
 
-    for message, function in {
-        r"next_goal returns must be index\[\], not float32\[1\]": {
-            "next_goal": lambda *_: GoalIndices(*[jnp.zeros(1)] * 2)
-        },
-        r"the action from act must be number\[1\], not float32\[2\]": {"act": lambda *_: [1, 1]},
-        r"ends_phase returns must be bool\[\], not int32\[\]": {"ends_phase": lambda *_: 2},
-        r"ends_phase returns must be bool\[\], not None": {"ends_phase": lambda *_: None},
-        r"prepare must return TransitionBatch\(row, .*, not an object of NoneType": {"prepare": lambda *_: None},
-        r"the reward .*, not float32\[16, 1\]": {"prepare": lambda *of: of[4]._replace(reward=of[4].reward[:, None])},
-        r"learn must return \(agent, .*Learner.diagnostics\) with the same leaves, but \[0\].* was float32\[8\] and is missing": {
-            "learn": lambda *_: None
-        },
-        r"learn .*, Learner.diagnostics\) with .*, but \[2\]\['critic_loss'\] was float32\[\] and is missing": {
-            "learn": lambda *of: (of[3], of[6], {"loss": jnp.zeros(())})
-        },
-        r"pretrain must return the agent with the same leaves, but .* was float32\[.*\] and is missing": {
-            "pretrain": lambda *_: None
-        },
-        r"refresh must return method_state with the same leaves, but it was missing and is int32\[2\]": {
-            "refresh_every": 2,
-            "refresh": lambda *_: jnp.zeros((), jnp.int32),
-        },
-    }.items():
+    same = "with the same leaves, but"
+    for name, function, message in (
+        ("next_goal", lambda *_: GoalIndices(*[jnp.zeros(1)] * 2), r"next_goal returns must be index\[\], not float32\[1\]"),
+        ("act", lambda *_: [1, 1], r"the action from act must be number\[1\], not float32\[2\]"),
+        ("ends_phase", lambda *_: 2, r"ends_phase returns must be bool\[\], not int32\[\]"),
+        ("ends_phase", lambda *_: None, r"ends_phase returns must be bool\[\], not None"),
+        ("prepare", lambda *_: None, r"prepare must return TransitionBatch\(row, .*, not an object of NoneType"),
+        ("prepare", lambda *of: of[4]._replace(reward=of[4].reward[:, None]), r"the reward .*, not float32\[16, 1\]"),
+        ("learn", lambda *_: None, rf"learn must return .*Learner.diagnostics\) {same} \[0\].* was .*\[8\] and is missing"),
+        ("learn", lambda *of: (of[3], of[6], {"loss": 1.0}), rf"{same} \[2\]\['critic_loss'\] was float32\[\] and is missing"),
+        ("pretrain", lambda *_: None, rf"pretrain must return the agent {same} .* was float32\[.*\] and is missing"),
+        ("refresh", lambda *_: jnp.zeros((), int), rf"refresh must return method_state {same} it was missing and is int32\[2\]"),
+    ):  # fmt: skip
         with pytest.raises(ValueError, match=f"odd: .*{message}"):
-            jax.eval_shape(functools.partial(lived, **function))
+            jax.eval_shape(functools.partial(lived, **{name: function}))
     assert jax.eval_shape(functools.partial(lived, act=lambda *_: [1])).replay.action.dtype == jnp.float32
 
 
@@ -258,10 +248,8 @@ def test_the_task_is_rewarded_whichever_controller_acts(env, problem):
     method = tiny_method("fbrl")
     state = make_train_state(problem, method, [0, 1])
     goal = jnp.asarray(env.goal_states[1])
-    env_state = state.lanes.env_state
-    env_state = env_state.replace(
-        data=env_state.data.replace(qpos=jnp.tile(goal[:4], (2, 1))), obs=jnp.tile(goal, (2, 2))
-    )
+    data = state.lanes.env_state.data.replace(qpos=jnp.tile(goal[:4], (2, 1)))
+    env_state = state.lanes.env_state.replace(data=data, obs=jnp.tile(goal, (2, 2)))
     goal_indices = state.lanes.goal_indices._replace(goal=jnp.array([4, 4]), task=jnp.array([1, 1]))
     lanes = state.lanes.replace(env_state=env_state, goal_indices=goal_indices, phase=jnp.array([RETURN, RETURN]))
     after = advance(problem, method, state.replace(lanes=lanes), 1, warmup=True)

@@ -79,11 +79,14 @@ def test_a_finished_run_is_not_trained_again_and_a_longer_one_can_end_where_it_s
         ({"algo": Patient}, r"the method must be an object of Method, not .*; did you mean Patient\(\)\?"),
         ({"steps": "160"}, "steps must be a whole number, not '160'"),
         ({"steps": 90}, "steps 90 is not a multiple of 40, the run's eval_every; take 120"),
+        ({"env": Meadow(reward_type="dense")}, "this run has the reward_type 'the default', .* has 'dense'"),
+        ({"env": TabletopOrganization()}, "task of this run has the name 'meadow', .* passed has 'tabletop_org"),
+        ({"algo": make_patient(discount=0.5)}, "method of this run has the discount 'the default', .* passed has 0.5"),
     ],
 )
-def test_arguments_of_another_kind_are_refused(folder, options, message):
-    with pytest.raises(InputError, match=message):
-        earl_jax.resume(folder, **options)
+def test_arguments_of_another_kind_and_objects_of_other_options_are_refused_and_leave_the_run(folder, options, message):
+    with unchanged(folder), pytest.raises(InputError, match=message):
+        earl_jax.resume(folder, **{"env": Meadow(), "algo": make_patient(), "steps": 160, **options})
 
 
 def test_a_run_can_become_so_short_that_its_replay_evicts_nothing(tmp_path):
@@ -132,27 +135,13 @@ def test_resuming_without_the_objects_is_an_error_that_says_what_to_register(fol
         earl_jax.resume(folder, **given)
 
 
-def test_resuming_with_the_objects_ends_bit_identical(folder, whole):
-    assert_equal_results(earl_jax.resume(folder, env=Meadow(), algo=make_patient(), steps=120), whole)
-
-
-@pytest.mark.parametrize(
-    ("env", "method", "message"),
-    [
-        (Meadow(reward_type="dense"), make_patient(), "this run has the reward_type 'the default', .* has 'dense'"),
-        (TabletopOrganization(), make_patient(), "task of this run has the name 'meadow', .* passed has 'tabletop_org"),
-        (Meadow(), make_patient(discount=0.5), "method of this run has the discount 'the default', .* passed has 0.5"),
-    ],
-)
-def test_resuming_with_objects_of_other_options_is_an_error_that_leaves_the_run(folder, env, method, message):
-    with unchanged(folder), pytest.raises(InputError, match=message):
-        earl_jax.resume(folder, env=env, algo=method, steps=160)
-
-
-def test_resuming_after_registration_ends_bit_identical(folder, whole, registries):
-    earl_jax.register_env("meadow", Meadow)
-    earl_jax.register_algo("patient", Patient)
-    assert_equal_results(earl_jax.resume(folder, steps=120), whole)
+@pytest.mark.parametrize("registered", [False, True])
+def test_resuming_with_the_objects_or_after_registration_ends_bit_identical(folder, whole, registries, registered):
+    if registered:
+        earl_jax.register_env("meadow", Meadow)
+        earl_jax.register_algo("patient", Patient)
+    objects = {} if registered else {"env": Meadow(), "algo": make_patient()}
+    assert_equal_results(earl_jax.resume(folder, steps=120, **objects), whole)
 
 
 def test_a_run_with_a_budget_is_resumed_with_the_task_or_with_its_wrapper(tmp_path):

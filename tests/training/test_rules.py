@@ -142,9 +142,7 @@ def test_a_lane_that_diverges_is_marked_and_changes_no_other(problem):
     agent = state.lanes.agent
     agent = agent.replace(log_temperature=agent.log_temperature.at[1].set(jnp.inf))
     broken = state.replace(lanes=state.lanes.replace(agent=agent))
-    sound, diverged = (
-        evaluate(problem, method, advance(problem, method, start, CHUNK))[1] for start in (state, broken)
-    )
+    sound, diverged = (evaluate(problem, method, advance(problem, method, own, CHUNK))[1] for own in (state, broken))
     assert sound["diverged"].tolist() == [0, 0]
     assert diverged["diverged"].tolist() == [0, 1]
     for name, values in sound.items():

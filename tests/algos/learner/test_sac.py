@@ -146,11 +146,8 @@ def test_the_target_of_an_ensemble_is_the_minimum_of_one_random_subset(batch, en
             pair: 2.0 * batch.reward + live * 0.99 * (q[list(pair)].min(axis=0) - entropy * 0.3 * log_prob)
             for pair in itertools.combinations(range(ensemble), subset)
         }
-        matches = [
-            pair for pair, values in expected.items() if np.allclose(target[:ensemble], values, rtol=1e-4, atol=1e-5)
-        ]
-        assert len(matches) == 1
-        used.add(matches[0])
+        [match] = [pair for pair, own in expected.items() if np.allclose(target[:ensemble], own, rtol=1e-4, atol=1e-5)]
+        used.add(match)
         free = [2.0 * batch.reward + live * 0.99 * q[ensemble:].min(axis=0)] * 2 if pairs else np.zeros((0, ROWS))
         np.testing.assert_allclose(target[ensemble:], free, rtol=1e-4)
     assert len(used) > 2 or subset == ensemble

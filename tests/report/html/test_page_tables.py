@@ -53,24 +53,19 @@ def test_the_seed_table_has_the_final_values_of_every_seed(lines):
     assert (seeds[2]["Continuing"], seeds[2]["Requested help"]) == ("0.008", "30")
 
 
-def test_a_page_shows_wide_starts_and_the_life(tmp_path):
+def test_a_page_shows_wide_starts_and_the_life_and_shares_of_seeds_as_rates(tmp_path):
     life = {"deployed/success_wide": 0.125, "continuing/back_success": np.nan, "continuing/alive": 1}
-    run = write_page_run(tmp_path / "a", "fbrl", constant(0.5, 1.0), metrics=life)
+    counts = "diverged", "help/over"
+    run = write_page_run(tmp_path / "a", "fbrl", constant(0.5, 1.0), extra_counts=counts, metrics=life)
     lines = read_lines(run)
     [first, _] = cells(seed_table(lines))
     assert (first["Deployed, from wide starts"], first["Return phases"], first["Lanes alive"]) == ("0.125", "–", "1")
     plots = {plot["title"]: plot for plot in panels(lines)}
     wide, back = plots["Deployed, from wide starts"], plots["Return phases"]
-    assert wide["range"] == back["range"] == [-0.04, 1.04]
+    for rate in (wide, back, plots["Diverged"], plots["Lifetimes over"]):
+        assert rate["range"] == [-0.04, 1.04]
     assert wide["lines"][0]["plain"]["mean"] == [0.125, 0.125]
     assert back["lines"][0]["plain"]["mean"] == [None, None], "JSON has no nan"
-
-
-def test_shares_of_seeds_have_the_range_and_the_bands_of_rates(tmp_path):
-    run = write_page_run(tmp_path, "fbrl", rising(3, 2), extra_counts=("diverged", "help/over"))
-    plots = {plot["title"]: plot for plot in panels(read_lines(run))}
-    for title in ("Diverged", "Lifetimes over"):
-        assert plots[title]["range"] == [-0.04, 1.04]
 
 
 @pytest.mark.parametrize(("seeds", "evaluations", "drawn"), [(2, 7, 7), (3, POINTS + 50, POINTS)])
