@@ -92,7 +92,7 @@ def train(
     task = with_engine(task, engine)
     method = _method_of(task, algo, options)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
-    run = Run.resolve(RunConfig.from_objects(task, method, rules, seed_list(seeds), schedule), task, method, rules)
+    run = Run.resolve(RunConfig.from_objects(task, method, rules, seed_list(seeds), schedule), task, method)
     plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
     if overwrite:
         trace(plan, [run])  # an error in a function of the task or the method leaves the earlier run as it is

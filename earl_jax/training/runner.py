@@ -17,7 +17,7 @@ from earl_jax.algos.method import TASK
 from earl_jax.envs import Env, chosen_engine, for_lanes, without_budget
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.values import TimeLimit, counted
-from earl_jax.protocol import Protocol, Rules, Setting
+from earl_jax.protocol import Protocol, Rules
 from earl_jax.runs.checkpoint import restore_together, save
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
@@ -54,22 +54,10 @@ class Run:
     evaluations: dict[str, list[np.ndarray]] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def resolve(
-        cls,
-        config: RunConfig,
-        env: Env | None = None,
-        method: Method | None = None,
-        setting: Setting | None = None,
-    ) -> "Run":
+    def resolve(cls, config: RunConfig, env: Env | None = None, method: Method | None = None) -> "Run":
         """Return the run of `config`; the objects that are not given are built from it."""
         env, method = env or config.build_env(), method or config.build_method()
-        setting = setting or config.build_setting()
-        return cls(
-            config=config,
-            env=env,
-            method=per_lane(method, len(config.seeds)),
-            protocol=setting.protocol(env, config.eval_every, config.eval_episodes),
-        )
+        return cls(config, env, per_lane(method, len(config.seeds)), config.protocol(env))
 
     @contextlib.contextmanager
     def logged(self, step: int) -> Iterator[None]:
