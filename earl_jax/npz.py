@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from earl_jax.errors import InputError
+from earl_jax.errors import InputError, printable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,11 +41,6 @@ def read_bytes(path: Path) -> bytes:
         return handle.read(status.st_size)
 
 
-def shortened(text: object) -> str:
-    """Return the start of a text of an untrusted file in printable ASCII, for a message."""
-    return ascii(str(text)[:200])[1:-1]
-
-
 def load_npz(data: bytes, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the arrays of an npz file that have one of `names`; no other member is read.
 
@@ -66,7 +61,7 @@ def load_npz(data: bytes, names: Sequence[str]) -> dict[str, np.ndarray]:
                 raise InputError("an array of bools has other values than 0 and 1")
         return arrays
     except Exception as error:  # damage makes zipfile and NumPy raise errors of many types
-        raise InputError(f"not an npz file of plain arrays: {shortened(error or type(error).__name__)}") from error
+        raise InputError(f"not an npz file of plain arrays: {printable(str(error)[:200])}") from error
 
 
 def _check_sizes(data: bytes, files: set[str]) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from earl_jax.assets import Demos, checked_demos
-from earl_jax.errors import InputError
-from earl_jax.npz import MAX_BYTES, load_npz, read_bytes, shortened
+from earl_jax.errors import InputError, printable
+from earl_jax.npz import MAX_BYTES, load_npz, read_bytes
 
 UNPICKLE = Path(__file__).with_name("unpickle.py")
 LONGEST = 180
@@ -45,7 +45,7 @@ def _unpickled(data: bytes) -> bytes:
     except subprocess.TimeoutExpired as error:
         raise InputError(f"not a pickle of numpy arrays: reading it takes more than {LONGEST} s") from error
     if done.returncode:
-        cause = shortened(done.stderr.decode(errors="replace").strip()) if done.returncode == 1 else ""
+        cause = printable(done.stderr.decode(errors="replace").strip()[:200]) if done.returncode == 1 else ""
         raise InputError(f"not a pickle of numpy arrays: {cause or 'it crashes the reader, or takes too long'}")
     return done.stdout
 
