@@ -44,11 +44,6 @@ class PlannedRun:
     step: int
 
     @property
-    def lanes(self) -> int:
-        """Number of lanes, one for each seed."""
-        return len(self.run.config.seeds)
-
-    @property
     def finished(self) -> bool:
         """Whether the run has reached its last step."""
         return self.step == self.run.config.steps
@@ -71,13 +66,13 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
     for entry in planned:
         if entry.finished:
             continue
-        if max_lanes is not None and entry.lanes > max_lanes:
+        if max_lanes is not None and entry.run.lanes > max_lanes:
             raise InputError(
-                f"{entry.name} has {counted(entry.lanes, 'seed')}, more than {counted(max_lanes, 'lane')}; a run is never split, "
-                "so raise max_lanes or give it fewer seeds"
+                f"{entry.name} has {counted(entry.run.lanes, 'seed')}, more than {counted(max_lanes, 'lane')}; a run is never "
+                "split, so raise max_lanes or give it fewer seeds"
             )
         groups = by_key.setdefault(entry.group_key(), [[]])
-        if max_lanes is not None and sum(other.lanes for other in groups[-1]) + entry.lanes > max_lanes:
+        if max_lanes is not None and sum(other.run.lanes for other in groups[-1]) + entry.run.lanes > max_lanes:
             groups.append([])
         groups[-1].append(entry)
     return [group for groups in by_key.values() for group in groups]
@@ -100,7 +95,7 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
 
 def _described(group: list[PlannedRun]) -> dict[str, Any]:
     """Return a program group as JSON values; its runs have one task, schedule and structure of method, so one size of replay."""
-    first, lanes = group[0].run, sum(entry.lanes for entry in group)
+    first, lanes = group[0].run, sum(entry.run.lanes for entry in group)
     replay = memory.replay_bytes(Problem(first.env, first.protocol), first.method, first.config.steps)
     return {
         "runs": {entry.name: dataclasses.asdict(entry.run.config) for entry in group},

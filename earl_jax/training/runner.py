@@ -59,6 +59,11 @@ class Run:
         env, method = env or config.build_env(), method or config.build_method()
         return cls(config, env, per_lane(method, len(config.seeds)), config.protocol(env))
 
+    @property
+    def lanes(self) -> int:
+        """Number of lanes, one for each seed."""
+        return len(self.config.seeds)
+
     @contextlib.contextmanager
     def logged(self, step: int) -> Iterator[None]:
         """Open the logs of this run at `step`; metrics of later steps are dropped and logged again."""
@@ -117,7 +122,7 @@ def plan_runs(runs: Sequence[Run], devices: int | None) -> Plan:
     The runs must have the same env, schedule, `program_structure` of their methods and step of their newest checkpoint.
     Their rules (H_T, settings) can differ, because lanes carry them as arrays, so the plan's protocol has none.
     """
-    first, lanes = runs[0], sum(len(run.config.seeds) for run in runs)
+    first, lanes = runs[0], sum(run.lanes for run in runs)
     problem = Problem(for_lanes(first.env, lanes), first.protocol.without_rules)
     plan = prepare(problem, join_lanes([run.method for run in runs]), lanes, first.config.steps, devices)
     require_same_on_hosts([run.config.values for run in runs], plan.engine, devices)
@@ -266,14 +271,14 @@ def _progress(plan: Plan, runs: Sequence[Run], show: bool) -> Progress:
 
 def _with_lanes(runs: Sequence[Run]) -> Iterator[tuple[Run, slice]]:
     """Return each run with the slice of its lanes."""
-    ends = itertools.accumulate(len(run.config.seeds) for run in runs)
+    ends = itertools.accumulate(run.lanes for run in runs)
     return zip(runs, itertools.starmap(slice, itertools.pairwise([0, *ends])), strict=True)
 
 
 def _initial_state(plan: Plan, method: Method, runs: Sequence[Run]) -> functools.partial[TrainState]:
     """Return the function that makes the state of all lanes before the first step."""
     keys = placed(seed_keys([seed for run in runs for seed in run.config.seeds]), plan.mesh)
-    lanes = [len(run.config.seeds) for run in runs]
+    lanes = [run.lanes for run in runs]
     rules = jax.tree.map(lambda *values: np.repeat(values, lanes), *[run.protocol.rules for run in runs])
     return functools.partial(_init, plan.problem, method, keys, placed(rules, plan.mesh), plan.steps, plan.mesh)
 
@@ -281,6 +286,5 @@ def _initial_state(plan: Plan, method: Method, runs: Sequence[Run]) -> functools
 def _restored(plan: Plan, runs: Sequence[Run], init: Callable[[], TrainState]) -> TrainState | None:
     """Return the state of the newest checkpoints of `runs`, or None if there are none."""
     folders = [run.folder.checkpoints for run in runs if run.folder]
-    sizes = [len(run.config.seeds) for run in runs]
-    saved = restore_together(folders, sizes, jax.eval_shape(init)) if folders else None
+    saved = restore_together(folders, [run.lanes for run in runs], jax.eval_shape(init)) if folders else None
     return None if saved is None else placed(saved, plan.mesh, TRAIN_STATE)
