@@ -138,7 +138,7 @@ def registries():
 @pytest.fixture
 def no_training(monkeypatch):
     """Let a command that starts to train fail instead."""
-    monkeypatch.setattr(api, "run_program", Mock(side_effect=AssertionError("training started")))
+    monkeypatch.setattr(api.Program, "run", Mock(side_effect=AssertionError("training started")))
 
 
 @pytest.fixture(scope="session")

@@ -28,7 +28,7 @@ from earl_jax.training import memory, split_options
 from earl_jax.training.api import require_checkpoint
 from earl_jax.training.init import demo_rows
 from earl_jax.training.plan import program_structure
-from earl_jax.training.runner import Run, plan_runs, run_program
+from earl_jax.training.runner import Program, Run
 from earl_jax.training.state import Problem
 
 Emit = Callable[[str, str, str], None]
@@ -206,7 +206,7 @@ def _train_group(
         emit(entry.name, *(("resumed", f"from step {entry.step}") if entry.step else ("started", "")))
     try:
         runs = [entry.run for entry in group]
-        step = int(run_program(plan_runs(runs, devices), runs, progress, limit).step)
+        step = int(Program(runs, devices).run(progress, limit).step)
         state, detail = ("done", "") if step == runs[0].config.steps else ("stopped", f"at step {step}")
     except Exception as error:
         state, detail = "failed", _cause(error)

@@ -28,9 +28,8 @@ from earl_jax.runs.hosts import failing_at_once, first_host, gathered
 from earl_jax.runs.logging import Log, check_logs
 from earl_jax.runs.policies import policies_step
 from earl_jax.training.forks import require_jax
-from earl_jax.training.plan import Plan
 from earl_jax.training.result import Result
-from earl_jax.training.runner import Run, plan_runs, run_program, trace
+from earl_jax.training.runner import Program, Run
 
 
 @package_types()
@@ -93,12 +92,12 @@ def train(
     method = _method_of(task, algo, options)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
     run = Run.resolve(RunConfig.from_objects(task, method, rules, seed_list(seeds), schedule), task, method)
-    plan = plan_runs([run], devices)  # before the folder, so that an impossible plan creates none
+    program = Program([run], devices)  # before the folder, so that an impossible plan creates none
     if overwrite:
-        trace(plan, [run])  # an error in a function of the task or the method leaves the earlier run as it is
-    run.folder = _create_folder(out, run, plan.engine, logs, overwrite)
+        program.trace()  # an error in a function of the task or the method leaves the earlier run as it is
+    run.folder = _create_folder(out, run, program.plan.engine, logs, overwrite)
     run.listeners = [log for log in logs if not isinstance(log, str)]
-    return _execute(plan, run, progress, limit)
+    return _execute(program, run, progress, limit)
 
 
 def _method_of(env: Env, algo: str | Method, options: dict[str, Any]) -> Method:
@@ -161,7 +160,7 @@ def resume(
     config.require_objects(task, algo)
     run = Run.resolve(config, task and config.build_setting().wrap(task), algo)
     run.folder, run.listeners = opened, logs
-    return _execute(plan_runs([run], devices), run, progress, limit)
+    return _execute(Program([run], devices), run, progress, limit)
 
 
 def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
@@ -198,12 +197,12 @@ def require_checkpoint(folder: RunFolder, step: int) -> None:
         warnings.warn(message, RunWarning, stacklevel=3)
 
 
-def _execute(plan: Plan, run: Run, progress: bool, limit: TimeLimit | None) -> Result:
+def _execute(program: Program, run: Run, progress: bool, limit: TimeLimit | None) -> Result:
     with run.folder.claimed() if run.folder else contextlib.nullcontext():
-        train_state = run_program(plan, [run], progress, limit)
+        train_state = program.run(progress, limit)
     return Result(
         config=run.config,
-        engine=plan.engine,
+        engine=program.plan.engine,
         step=int(gathered(train_state.step)),
         steps=np.array(run.steps, int),
         metrics=run.metrics,

@@ -29,7 +29,7 @@ from earl_jax.runs.table import Table
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import check_lanes, init_train_state
-from earl_jax.training.plan import Plan, join_lanes, per_lane, prepare
+from earl_jax.training.plan import join_lanes, per_lane, prepare
 from earl_jax.training.program_cache import keep_programs
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState, seed_keys
@@ -116,124 +116,146 @@ def _evaluate(
     return mapped(evaluate, mesh, (LANES, TRAIN_STATE), (TRAIN_STATE, LANES))(method, state)
 
 
-def plan_runs(runs: Sequence[Run], devices: int | None) -> Plan:
-    """Return the plan of one program for the lanes of all `runs`, in their order, which all hosts have. Errors as `prepare`.
+class Program:
+    """One jitted program for the lanes of all `runs`, in their order, which all hosts have, with its `plan`.
 
     The runs must have the same env, schedule, `program_structure` of their methods and step of their newest checkpoint.
     Their rules (H_T, settings) can differ, because lanes carry them as arrays, so the plan's protocol has none.
-    """
-    first, lanes = runs[0], sum(run.lanes for run in runs)
-    problem = Problem(for_lanes(first.env, lanes), first.protocol.without_rules)
-    plan = prepare(problem, join_lanes([run.method for run in runs]), lanes, first.config.steps, devices)
-    require_same_on_hosts([run.config.values for run in runs], plan.engine, devices)
-    return plan
-
-
-def trace(plan: Plan, runs: Sequence[Run]) -> None:
-    """Raise the errors of the functions of `runs` from their first step on; `run_program` does not trace them again."""
-    method = placed(join_lanes([run.method for run in runs]), plan.mesh)
-    init = _initial_state(plan, method, runs)
-    state = _init.eval_shape(*init.args)
-    for warmup in {*plan.warmups(0)}:
-        state = _advance.eval_shape(plan.problem, method, state, plan.chunk_steps, warmup, plan.mesh)
-    _evaluate.eval_shape(plan.problem, method, state, plan.mesh)
-
-
-def run_program(plan: Plan, runs: Sequence[Run], progress: bool, limit: TimeLimit | None) -> TrainState:
-    """Return the final state of all lanes of `runs`, resumed from their newest checkpoints.
-
-    Each run's metrics are added to its `evaluations` and to its folder, which also receives checkpoints of the run's lanes.
-    With a `limit`, the state can be an earlier one: that after the chunk in which the time ran out, with a checkpoint.
 
     Raises:
-        Stopped: SIGINT, SIGTERM or SIGHUP arrived; the runs with a folder have a checkpoint of the last complete chunk.
+        ValueError: as `prepare`.
     """
-    keep_programs()
-    method = placed(join_lanes([run.method for run in runs]), plan.mesh)
-    with StopRequest(limit) as stop, contextlib.ExitStack() as stack:
-        init = _initial_state(plan, method, runs)
-        state = _restored(plan, runs, init)
-        bar = stack.enter_context(_progress(plan, runs, progress))
-        bar.message(str(plan.memory))
-        if plan.engine != "kinematic":
-            auto = f", which auto takes for {counted(plan.lanes, 'lane')} on this {jax.default_backend()} machine"
-            bar.message(f"physics engine: {plan.engine}{auto if chosen_engine(runs[0].env) == 'auto' else ''}")
-        if state is None:
-            with bar.working("first state"):
-                state = jax.block_until_ready(init())
-        step = int(gathered(state.step))
-        bar.start_at(step)
-        for run in runs:
-            stack.enter_context(run.logged(step))
-        return _train_to_end(plan, method, runs, state, step, bar, stop)
 
+    def __init__(self, runs: Sequence[Run], devices: int | None):
+        first, lanes, method = runs[0], sum(run.lanes for run in runs), join_lanes([run.method for run in runs])
+        problem = Problem(for_lanes(first.env, lanes), first.protocol.without_rules)
+        self._runs, self.plan = runs, prepare(problem, method, lanes, first.config.steps, devices)
+        require_same_on_hosts([run.config.values for run in runs], self.plan.engine, devices)
+        self._method = placed(method, self.plan.mesh)
 
-def _train_to_end(
-    plan: Plan, method: Method, runs: Sequence[Run], state: TrainState, step: int, bar: Progress, stop: StopRequest
-) -> TrainState:
-    """Return the final state, or the one at a time limit, trained from `step`. Errors as `run_program`."""
-    start = step
-    check_lanes(plan.problem, method, state)
-    if step == plan.steps:
-        _record_length(plan, runs)
-    while step < plan.steps:
-        state = _train_to_evaluation(plan, method, state, step, bar, stop)
-        previous, step = step, int(gathered(state.step))
-        if step > previous == start:
-            _record_length(plan, runs)
-        if step > previous and step % plan.problem.protocol.eval_every == 0:
-            state = _evaluate_runs(plan, method, runs, state, step, bar)
+    def trace(self) -> None:
+        """Raise the errors of the functions of the runs from their first step on; `run` does not trace them again."""
+        plan, method = self.plan, self._method
+        state = _init.eval_shape(*self._initial_state().args)
+        for warmup in {*plan.warmups(0)}:
+            state = _advance.eval_shape(plan.problem, method, state, plan.chunk_steps, warmup, plan.mesh)
+        _evaluate.eval_shape(plan.problem, method, state, plan.mesh)
+
+    def run(self, progress: bool, limit: TimeLimit | None) -> TrainState:
+        """Return the final state of all lanes of the runs, resumed from their newest checkpoints.
+
+        Each run's metrics are added to its `evaluations` and to its folder, which also receives checkpoints of the run's
+        lanes. With a `limit`, the state can be an earlier one: that after the chunk in which the time ran out, with a
+        checkpoint.
+
+        Raises:
+            Stopped: SIGINT, SIGTERM or SIGHUP arrived; the runs with a folder have a checkpoint of the last complete chunk.
+        """
+        keep_programs()
+        plan = self.plan
+        with StopRequest(limit) as stop, contextlib.ExitStack() as stack:
+            init = self._initial_state()
+            state = self._restored(init)
+            bar = stack.enter_context(self._progress(progress))
+            bar.message(str(plan.memory))
+            if plan.engine != "kinematic":
+                auto = f", which auto takes for {counted(plan.lanes, 'lane')} on this {jax.default_backend()} machine"
+                is_auto = chosen_engine(self._runs[0].env) == "auto"
+                bar.message(f"physics engine: {plan.engine}{auto if is_auto else ''}")
+            if state is None:
+                with bar.working("first state"):
+                    state = jax.block_until_ready(init())
+            step = int(gathered(state.step))
+            bar.start_at(step)
+            for run in self._runs:
+                stack.enter_context(run.logged(step))
+            return self._train_to_end(state, step, bar, stop)
+
+    def _initial_state(self) -> functools.partial[TrainState]:
+        """Return the function that makes the state of all lanes before the first step."""
+        plan, runs = self.plan, self._runs
+        keys = placed(seed_keys([seed for run in runs for seed in run.config.seeds]), plan.mesh)
+        lanes = [run.lanes for run in runs]
+        rules = jax.tree.map(lambda *values: np.repeat(values, lanes), *[run.protocol.rules for run in runs])
+        return functools.partial(
+            _init, plan.problem, self._method, keys, placed(rules, plan.mesh), plan.steps, plan.mesh
+        )
+
+    def _restored(self, init: Callable[[], TrainState]) -> TrainState | None:
+        """Return the state of the newest checkpoints of the runs, or None if there are none."""
+        folders = [run.folder.checkpoints for run in self._runs if run.folder]
+        lanes = [run.lanes for run in self._runs]
+        saved = restore_together(folders, lanes, jax.eval_shape(init)) if folders else None
+        return None if saved is None else placed(saved, self.plan.mesh, TRAIN_STATE)
+
+    def _progress(self, show: bool) -> Progress:
+        plan, config = self.plan, self._runs[0].config
+        return Progress(
+            label=f"{config.algo} x {plan.lanes} on {config.env}",
+            steps=plan.steps,
+            metric=config.deployed_metric,
+            show=show and first_host(),
+            compile_time="up to some minutes with mjx" if plan.engine == "mjx" else "about 10 s",
+        )
+
+    def _train_to_end(self, state: TrainState, step: int, bar: Progress, stop: StopRequest) -> TrainState:
+        """Return the final state, or the one at a time limit, trained from `step`. Errors as `run`."""
+        plan, start = self.plan, step
+        check_lanes(plan.problem, self._method, state)
+        if step == plan.steps:
+            self._record_length()
+        while step < plan.steps:
+            state = self._train_to_evaluation(state, step, bar, stop)
+            previous, step = step, int(gathered(state.step))
+            if step > previous == start:
+                self._record_length()
+            if step > previous and step % plan.problem.protocol.eval_every == 0:
+                state = self._evaluated(state, step, bar)
+                stop.check()
+            stopping = stop.requested and step < plan.steps
+            for run, span in _with_lanes(self._runs):
+                if run.folder and step and (stopping or run.config.checkpoint_due(step)):
+                    save(run.folder.checkpoints, state, span)
+            if stopping and stop.number is not None:
+                raise Stopped(stop.number, step, next((run.folder.path for run in self._runs if run.folder), None))
+            if stopping:
+                break
+        return state
+
+    def _record_length(self) -> None:
+        """Write length and engine of the runs to their configs, which stay as they are if one fails before its first steps."""
+        for run in self._runs:
+            if run.folder and first_host():
+                run.folder.record(engine=self.plan.engine, steps=run.config.steps)
+
+    def _train_to_evaluation(self, state: TrainState, step: int, bar: Progress, stop: StopRequest) -> TrainState:
+        """Return the state at the next evaluation, or after the chunk in which a signal arrived or the time ran out.
+
+        A time limit lets at least one chunk run, so that repeated commands come to an end.
+        """
+        plan = self.plan
+        for warmup in plan.warmups(step):
+            if stop.requested:
+                return state
+            start_time = time.perf_counter()
+            with bar.working("random actions" if warmup else "training"):
+                state = _advance(plan.problem, self._method, state, plan.chunk_steps, warmup, plan.mesh)
+                state.step.block_until_ready()
+            bar.advance(plan.chunk_steps, time.perf_counter() - start_time)
             stop.check()
-        stopping = stop.requested and step < plan.steps
-        for run, span in _with_lanes(runs):
-            if run.folder and step and (stopping or run.config.checkpoint_due(step)):
-                save(run.folder.checkpoints, state, span)
-        if stopping and stop.number is not None:
-            raise Stopped(stop.number, step, next((run.folder.path for run in runs if run.folder), None))
-        if stopping:
-            break
-    return state
+        return state
 
-
-def _record_length(plan: Plan, runs: Sequence[Run]) -> None:
-    """Write length and engine of the runs to their configs, which stay as they are if a run fails before its first steps."""
-    for run in runs:
-        if run.folder and first_host():
-            run.folder.record(engine=plan.engine, steps=run.config.steps)
-
-
-def _train_to_evaluation(
-    plan: Plan, method: Method, state: TrainState, step: int, bar: Progress, stop: StopRequest
-) -> TrainState:
-    """Return the state at the next evaluation, or after the chunk in which a signal arrived or the time ran out.
-
-    A time limit lets at least one chunk run, so that repeated commands come to an end.
-    """
-    for warmup in plan.warmups(step):
-        if stop.requested:
-            return state
-        start_time = time.perf_counter()
-        with bar.working("random actions" if warmup else "training"):
-            state = _advance(plan.problem, method, state, plan.chunk_steps, warmup, plan.mesh)
-            state.step.block_until_ready()
-        bar.advance(plan.chunk_steps, time.perf_counter() - start_time)
-        stop.check()
-    return state
-
-
-def _evaluate_runs(
-    plan: Plan, method: Method, runs: Sequence[Run], state: TrainState, step: int, bar: Progress
-) -> TrainState:
-    """Return the state after the evaluation at `step`, of which each run keeps its policies and its metrics."""
-    with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
-        state, metrics = _evaluate(plan.problem, method, state, plan.mesh)
-        metrics = {name: as_decimals(values) for name, values in gathered(metrics).items()}
-    check_lanes(plan.problem, method, state)
-    save_policies_of(runs, state, step)
-    for run, span in _with_lanes(runs):
-        run.add(step, {name: values[span] for name, values in metrics.items()})
-    bar.report(step, metrics)
-    return state
+    def _evaluated(self, state: TrainState, step: int, bar: Progress) -> TrainState:
+        """Return the state after the evaluation at `step`, of which each run keeps its policies and its metrics."""
+        with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
+            state, metrics = _evaluate(self.plan.problem, self._method, state, self.plan.mesh)
+            metrics = {name: as_decimals(values) for name, values in gathered(metrics).items()}
+        check_lanes(self.plan.problem, self._method, state)
+        save_policies_of(self._runs, state, step)
+        for run, span in _with_lanes(self._runs):
+            run.add(step, {name: values[span] for name, values in metrics.items()})
+        bar.report(step, metrics)
+        return state
 
 
 def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:
@@ -258,33 +280,7 @@ def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:
             )
 
 
-def _progress(plan: Plan, runs: Sequence[Run], show: bool) -> Progress:
-    config = runs[0].config
-    return Progress(
-        label=f"{config.algo} x {plan.lanes} on {config.env}",
-        steps=plan.steps,
-        metric=config.deployed_metric,
-        show=show and first_host(),
-        compile_time="up to some minutes with mjx" if plan.engine == "mjx" else "about 10 s",
-    )
-
-
 def _with_lanes(runs: Sequence[Run]) -> Iterator[tuple[Run, slice]]:
     """Return each run with the slice of its lanes."""
     ends = itertools.accumulate(run.lanes for run in runs)
     return zip(runs, itertools.starmap(slice, itertools.pairwise([0, *ends])), strict=True)
-
-
-def _initial_state(plan: Plan, method: Method, runs: Sequence[Run]) -> functools.partial[TrainState]:
-    """Return the function that makes the state of all lanes before the first step."""
-    keys = placed(seed_keys([seed for run in runs for seed in run.config.seeds]), plan.mesh)
-    lanes = [run.lanes for run in runs]
-    rules = jax.tree.map(lambda *values: np.repeat(values, lanes), *[run.protocol.rules for run in runs])
-    return functools.partial(_init, plan.problem, method, keys, placed(rules, plan.mesh), plan.steps, plan.mesh)
-
-
-def _restored(plan: Plan, runs: Sequence[Run], init: Callable[[], TrainState]) -> TrainState | None:
-    """Return the state of the newest checkpoints of `runs`, or None if there are none."""
-    folders = [run.folder.checkpoints for run in runs if run.folder]
-    saved = restore_together(folders, [run.lanes for run in runs], jax.eval_shape(init)) if folders else None
-    return None if saved is None else placed(saved, plan.mesh, TRAIN_STATE)

@@ -31,13 +31,13 @@ CONFIG = RunConfig(
 @pytest.fixture
 def config_of(monkeypatch, tmp_path):
     """A function that returns the config of the run that `train` with its arguments would train."""
-    plan_runs = Mock(side_effect=ZeroDivisionError)
-    monkeypatch.setattr(api, "plan_runs", plan_runs)
+    program = Mock(side_effect=ZeroDivisionError)
+    monkeypatch.setattr(api, "Program", program)
 
     def config_of(*arguments):
         with pytest.raises(ZeroDivisionError):
             run("train", *arguments, "--out", tmp_path / "again")
-        [resolved], _ = plan_runs.call_args.args
+        [resolved], _ = program.call_args.args
         return resolved.config
 
     return config_of

@@ -155,7 +155,7 @@ def test_a_run_with_a_budget_is_resumed_with_the_task_or_with_its_wrapper(tmp_pa
     assert RunFolder.open(tmp_path / "run").config.setting == {"name": "deployment", "budget": 5.0}
 
 
-@pytest.mark.parametrize("part_that_fails", ["_restored", "_advance"])
+@pytest.mark.parametrize("part_that_fails", ["restore_together", "_advance"])
 def test_a_longer_run_that_fails_before_its_first_steps_leaves_its_config(folder, part_that_fails, monkeypatch):
     monkeypatch.setattr(runner, part_that_fails, Mock(side_effect=RuntimeError("out of memory")))
     with unchanged(folder), pytest.raises(RuntimeError, match="out of memory"):
