@@ -29,13 +29,13 @@ class Progress:
     def __init__(self, *, label: str, steps: int, metric: str, show: bool, compile_time: str = "about 10 s"):
         self._steps, self._metric, self._speed, self._done = steps, metric, 0.0, 0
         self._stream: Any = LastingStream(sys.stderr)
-        self._console, self._show = Console(file=self._stream), show
+        console = Console(file=self._stream)
         self._bar = Bar(
             BarColumn(bar_width=None), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
             TextColumn(f"{metric.split('/')[-1]} {{task.fields[score]}}  {{task.fields[speed]}} steps/s"), TimeRemainingColumn(),
-            console=self._console, disable=not (show and self._console.is_terminal), expand=True,
+            console=console, disable=not (show and console.is_terminal), expand=True,
         )  # fmt: skip
-        self._plain = show and not self._console.is_terminal
+        self._plain = show and not console.is_terminal
         self._task = self._bar.add_task(label, total=steps, score="-", speed="-")
         self._compiled: set[str] = set()
         self._compile_time = compile_time
@@ -59,8 +59,8 @@ class Progress:
         """Print a line above the bar."""
         if self._plain:
             self._print(text)
-        elif self._show:
-            self._console.print(text, highlight=False)
+        elif not self._bar.disable:
+            self._bar.console.print(text, highlight=False)
 
     def start_at(self, step: int) -> None:
         """Show that `step` steps are complete already."""
