@@ -12,7 +12,7 @@ from earl_jax.cli.descriptions import DESCRIBE, REGISTRIES, names, stored
 from earl_jax.errors import InputError, choices
 from earl_jax.options.presets import PRESETS
 from earl_jax.options.registry import LEARNER, class_name
-from earl_jax.options.values import value_text
+from earl_jax.options.values import LARGEST_INT, value_text
 
 WIDTH = 80
 LONGEST = 30
@@ -162,7 +162,7 @@ def _valid_text(valid: list[str] | str) -> str:
     if isinstance(valid, list):
         return f"{', '.join(valid[:-1])} or {valid[-1]}"
     low, _, high = valid[1:-1].partition(", ")
-    return f"at least {low}" if high == str(2**31 - 1) else f"in {valid}"
+    return f"at least {low}" if high == str(LARGEST_INT) else f"in {valid}"
 
 
 def _wrap(text: str, indent: str = "") -> list[str]:
