@@ -107,7 +107,7 @@ def _paper_row(env: str, algo: str) -> Row:
     length, crossings = (published_steps(env) or (0, 0))[0], {}
     deployed = Estimate(score.value, *(score.interval or (math.nan, math.nan)))
     if released := released_curves(env, algo):
-        deployed = interval_of(released, seed_scores(released, step=length))
+        deployed = interval_of(released, seed_scores(released.until(length)))
         crossings = crossing_texts(released)
     return EMPTY | {
         "env": env,

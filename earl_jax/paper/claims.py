@@ -110,9 +110,9 @@ def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
     if first is None or second is None or not (step := common_step(first, second)):
         return {}
     first, second = over_same_steps((first, second), step)
-    scores = table_scores(claim.number, first, step)
+    scores = table_scores(claim.number, first)
     if claim.second:
-        return {"steps": step, **comparison_columns(scores, table_scores(claim.number, second, step))}
+        return {"steps": step, **comparison_columns(scores, table_scores(claim.number, second))}
     count = first.window.count(first.steps)
     if len(first.steps) < 2 * count:
         return {"steps": step, "verdict": TOO_SHORT}

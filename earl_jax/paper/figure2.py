@@ -4,7 +4,6 @@ Source: Sharma et al. 2022, figure 2. The biased update treats every time-out as
 the first version of SAC, ours the second.
 """
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -65,10 +64,10 @@ class Point(NamedTuple):
         """The deployed returns [seeds, E]."""
         return self.run.metrics["deployed/return"]
 
-    def scores(self, step: float = math.inf) -> np.ndarray:
-        """Return the final returns [seeds] up to `step`, by the window of the run."""
-        until = self.run.steps <= step
-        return final_scores(self.run.steps[until], self.returns[:, until], self.run.window)
+    @property
+    def scores(self) -> np.ndarray:
+        """The final returns [seeds], by the window of the run."""
+        return final_scores(self.run.steps, self.returns, self.run.window)
 
     def row(self, scores: np.ndarray, **columns: int) -> Row:
         """Return the row of `scores [seeds]`, with further `columns` before their mean."""
@@ -102,7 +101,7 @@ def report(folders: Sequence[Path]) -> Report:
     """
     arms = _arms(read_all(folders))
     points = [point for arm in arms.values() for point in arm]
-    rows = [point.row(point.scores(), steps=int(point.run.steps[-1]), seeds=point.run.seeds) for point in points]
+    rows = [point.row(point.scores, steps=int(point.run.steps[-1]), seeds=point.run.seeds) for point in points]
     curves = [
         point.row(scores, step=step)
         for point in points
@@ -194,7 +193,7 @@ def _test(first: Point, second: Point) -> Row:
     if not step:
         return {**UNTESTED, "verdict": MISSING}
     runs = over_same_steps((first.run, second.run), step)
-    own, other = (point._replace(run=run).scores(step) for point, run in zip((first, second), runs, strict=True))
+    own, other = (point._replace(run=run).scores for point, run in zip((first, second), runs, strict=True))
     return comparison_columns(Sample.of(own), Sample.of(other))
 
 
@@ -214,7 +213,7 @@ def _returns(arms: Arms) -> str:
     horizons = sorted({*HORIZONS, *(point.horizon for arm in arms.values() for point in arm)})
     lines = []
     for (env, update), arm in arms.items():
-        scores = {point.horizon: point.scores() for point in arm}
+        scores = {point.horizon: point.scores for point in arm}
         texts = {h: f"{interval_text(*mean_interval(own), '.1f')} ({len(own)})" for h, own in scores.items()}
         lines.append([env, UPDATES[update], *(texts.get(horizon, MISSING) for horizon in horizons)])
     return markdown_table(["task", "update", *(f"{horizon:,}" for horizon in horizons)], lines)
@@ -279,7 +278,7 @@ def _draw_final(axis: Any, env: str, arms: Arms) -> None:
     """Draw a task's final returns, moved sideways a little so that the intervals of both updates can be seen."""
     for update, name in UPDATES.items():
         arm, (colour, marks) = arms[env, update], PLOT_STYLES[update]
-        estimate = Estimate(*np.reshape([mean_interval(point.scores()) for point in arm], (-1, 3)).T)
+        estimate = Estimate(*np.reshape([mean_interval(point.scores) for point in arm], (-1, 3)).T)
         x = [point.horizon * (1.03 if update else 0.97) for point in arm]
         axis.errorbar(
             x, estimate.value, style.reach(estimate), fmt=marks, color=colour, label=name, capsize=3, markersize=5

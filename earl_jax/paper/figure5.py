@@ -84,7 +84,7 @@ def _released_text(number: int, curves: Curves, digits: int) -> str:
     if not released or not step or (number == 2 and CONTINUING not in released.metrics):
         return "-"
     _, released = over_same_steps((curves, released), step)
-    return f"{table_scores(number, released, step).mean():.{digits}f}"
+    return f"{table_scores(number, released).mean():.{digits}f}"
 
 
 def _draw(runs: Sequence[Curves]) -> Any:

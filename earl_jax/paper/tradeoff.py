@@ -86,26 +86,23 @@ def seed_rows(runs: Sequence[Curves]) -> list[Row]:
     rows = []
     for name in [name for name in itertools.product(envs, algos, KINDS) if name in lines]:
         values, line = zip(*sorted(lines[name].items()), strict=True)
-        last = min(int(run.steps[-1]) for run in line)
-        for value, run in zip(values, over_same_steps(line, last), strict=True):
-            rows += _rows({**dict(zip(LINE, name, strict=True)), "value": value}, run, last)
+        for value, run in zip(values, over_same_steps(line, min(run.steps[-1] for run in line)), strict=True):
+            rows += _rows({**dict(zip(LINE, name, strict=True)), "value": value}, run)
     return rows
 
 
-def _rows(key: Row, run: Curves, last: int) -> list[Row]:
-    final, until = seed_scores(run, last), run.steps <= last
-    metrics = {name: values[:, until] for name, values in run.metrics.items()}
-    deployed = metrics[run.deployed_metric]
+def _rows(key: Row, run: Curves) -> list[Row]:
+    metrics, none = run.metrics, np.zeros(run.seeds)
     scores = {
-        "interventions": sum((metrics[name][:, -1] for name in SPENT if name in metrics), np.zeros(len(deployed))),
-        "final": final,
-        "deployed_area": deployed_area(run.steps[until], deployed),
-        "ended": metrics["help/over"][:, -1] if key["kind"] == "budget" else np.zeros(len(deployed)),
+        "interventions": sum((metrics[name][:, -1] for name in SPENT if name in metrics), none),
+        "final": seed_scores(run),
+        "deployed_area": deployed_area(run.steps, metrics[run.deployed_metric]),
+        "ended": metrics["help/over"][:, -1] if key["kind"] == "budget" else none,
     }
-    key = {**key, "steps": int(run.steps[until][-1])}
+    key = {**key, "steps": int(run.steps[-1])}
     return [
         {**key, "lane": lane, **{name: float(values[lane]) for name, values in scores.items()}}
-        for lane in range(len(deployed))
+        for lane in range(run.seeds)
     ]
 
 

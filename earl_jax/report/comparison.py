@@ -133,7 +133,7 @@ def pair_row(first: Curves, second: Curves, metric: str | None = None, age: floa
     """Return the comparison of two methods on a task after the share `age` of the steps that both have, p not adjusted."""
     step = common_step(first, second, age)
     assert step is not None
-    scores, others = (seed_scores(curves, step, metric) for curves in over_same_steps((first, second), step))
+    scores, others = (seed_scores(curves, metric) for curves in over_same_steps((first, second), step))
     return _row(first, step, scores, second.label, others, metric) | {"age": age}
 
 

@@ -79,7 +79,7 @@ def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
     if curves:
         row |= {"label": curves.label, "options": options_text(curves.options), "chosen": chosen_words(curves)}
         metric, step = curves.deployed_metric if number == 1 else CONTINUING, int(curves.steps[-1])
-        scores = table_scores(number, curves, step)
+        scores = table_scores(number, curves)
         mean, low, high = interval_of(curves, scores, metric)
         values = (metric, len(scores), curves.diverged, step, mean, float(stderr(scores)), low, high)
         row |= dict(zip(MEASURED, values, strict=True)) | _test(number, curves, score)
@@ -98,17 +98,14 @@ def _test(number: int, curves: Curves, score: PublishedScore | None) -> Row:
         if step is None or (number == 2 and CONTINUING not in released.metrics):
             return {}
         curves, released = over_same_steps((curves, released), step)
-        other = table_scores(number, released, step)
-    own = table_scores(number, curves, step)
+        other = table_scores(number, released)
+    own = table_scores(number, curves)
     return {"tested_steps": step, "tested_mean": float(own.mean()), **comparison_columns(own, other, "difference_")}
 
 
-def table_scores(number: int, curves: Curves, step: int | None = None) -> np.ndarray:
-    """Return the scores [N] of seeds up to `step`: deployed ones for table 1, rewards over the life for table 2."""
-    if number == 1:
-        return seed_scores(curves, step=step)
-    until = curves.steps <= (curves.steps[-1] if step is None else step)
-    return curves.metrics[CONTINUING][:, until][:, -1]
+def table_scores(number: int, curves: Curves) -> np.ndarray:
+    """Return the scores [N] of seeds: deployed ones for table 1, rewards over the life for table 2."""
+    return seed_scores(curves) if number == 1 else curves.metrics[CONTINUING][:, -1]
 
 
 def share_of_steps(row: Row) -> str:

@@ -1,5 +1,6 @@
 """Curves read from run folders, grouped by task and method."""
 
+import copy
 import dataclasses
 import warnings
 from collections import Counter
@@ -69,6 +70,15 @@ class Curves(NamedTuple):
     def score(self, metric: str | None = None) -> Score:
         """Return the score of the seeds over the evaluations of `window`, by default of the deployed metric."""
         return Score.of(self.steps, self.metrics, metric or self.deployed_metric, self.window)
+
+    def until(self, step: float) -> "Curves":
+        """Return the evaluations up to `step`; an InputError if there is none."""
+        until = self.steps <= step
+        if not until.any():
+            raise InputError(f"{self.algo} on {self.env} has no evaluation in the first {step:,} steps")
+        metrics = copy.copy(self.metrics)
+        metrics.update({name: values[:, until] for name, values in metrics.items()})
+        return self._replace(steps=self.steps[until], metrics=metrics)
 
     @property
     def run_seeds(self) -> list[int]:

@@ -11,7 +11,7 @@ from earl_jax.metrics import crossings
 from earl_jax.metrics.comparison import Sample, band, is_rounding, mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
-from earl_jax.metrics.scores import RATES, SUCCESS, Window, final_scores
+from earl_jax.metrics.scores import RATES, SUCCESS, Window
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import published_beside, released_beside
 from earl_jax.report.runs import Curves, options_text, spacing
@@ -24,45 +24,36 @@ MEANS = {"forward_success": FORWARD, "back_success": BACK, "alive": ALIVE, "stil
 """By the name of a row's value: the metric of which it is the mean over seeds."""
 
 
-def seed_scores(curves: Curves, step: int | None = None, metric: str | None = None) -> np.ndarray:
-    """Return the score [N] of each seed up to `step`: the mean over the evaluations of its window.
-
-    `step` is by default the last one, `metric` the deployed one.
+def seed_scores(curves: Curves, metric: str | None = None) -> np.ndarray:
+    """Return the score [N] of each seed: the mean over the evaluations of its window, by default of the deployed `metric`.
 
     Raises:
-        ValueError: the run has no such metric, it has no value at some of these evaluations, or there is none up to `step`.
+        ValueError: the run has no such metric, or it has no value at some of these evaluations.
     """
-    until = _until(curves, curves.steps[-1] if step is None else step)
-    steps, values = curves.steps[until], curves.metrics[metric or curves.deployed_metric][:, until]
-    if metric and not np.isfinite(values[:, -curves.window.count(steps) :]).all():
+    # By an index: a slice has another order in memory, and with it another last digit of the mean.
+    scored = np.arange(-curves.window.count(curves.steps), 0)
+    values = curves.metrics[metric or curves.deployed_metric][:, scored]
+    if metric and not np.isfinite(values).all():
         raise InputError(
             f"{metric} of {curves.label or curves.algo} has no value at some evaluations, so it has no score"
         )
-    return final_scores(steps, values, curves.window)
+    return values.mean(axis=-1)
 
 
 def over_same_steps(runs: Sequence[Curves], step: float = math.inf) -> list[Curves]:
-    """Return `runs` with the window that scores all of them up to `step` over as many steps: the longest of theirs.
+    """Return `runs` up to `step`, with the window that scores all of them over as many steps: the longest of theirs.
 
     A window of `last` evaluations stays as it is.
 
     Raises:
         ValueError: a run has no evaluation up to `step`.
     """
+    runs = [run.until(step) for run in runs]
     if runs[0].window.last is not None:
-        return list(runs)
-    lives = [(run.window, run.steps[_until(run, step)]) for run in runs]
-    span = max(int(steps[-1] - steps[-window.count(steps)]) for window, steps in lives)
-    window = Window(steps=span + min(spacing(steps) for _, steps in lives))
+        return runs
+    span = max(int(run.steps[-1] - run.steps[-run.window.count(run.steps)]) for run in runs)
+    window = Window(steps=span + min(spacing(run.steps) for run in runs))
     return [run._replace(window=window) for run in runs]
-
-
-def _until(curves: Curves, step: float) -> np.ndarray:
-    """Return which evaluations are up to `step`, bool [E]; an InputError if none is."""
-    until = curves.steps <= step
-    if not until.any():
-        raise InputError(f"{curves.algo} on {curves.env} has no evaluation in the first {step:,} steps")
-    return until
 
 
 def interval_of(curves: Curves, scores: np.ndarray, metric: str | None = None) -> Estimate:
