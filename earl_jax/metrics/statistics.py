@@ -26,6 +26,11 @@ class Estimate(NamedTuple):
         """Return the columns `name`, `low` and `high` of a row; the last two start with `prefix`."""
         return dict(zip((name, f"{prefix}low", f"{prefix}high"), self, strict=True))
 
+    @classmethod
+    def of_row(cls, row: dict[str, Any], name: str, prefix: str = "") -> "Estimate":
+        """Return the estimate whose `columns` are in `row`."""
+        return cls(row[name], row[f"{prefix}low"], row[f"{prefix}high"])
+
 
 class Summary(NamedTuple):
     """A summary of scores: `mean`, `stderr`, `iqm` with its 95 % interval `low` to `high`, number of `seeds`."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
-from earl_jax.metrics.statistics import Estimate, stderr
+from earl_jax.metrics.statistics import stderr
 from earl_jax.report import style
 from earl_jax.report.published import published_steps
 from earl_jax.report.tables import Row, error_text, write
@@ -101,15 +101,10 @@ def grouped(rows: Iterable[Row], *names: str) -> dict[tuple[Any, ...], list[Row]
 
 
 def column(rows: Iterable[Row], name: str) -> np.ndarray:
-    """Return the numbers [rows] of a column."""
+    """Return the numbers [rows] of a column, nan for None."""
     return np.array([row[name] for row in rows], float)
 
 
-def estimate_of(row: Row, name: str, prefix: str = "") -> Estimate:
-    """Return the estimate whose `columns` are in `row`."""
-    return Estimate(row[name], row[f"{prefix}low"], row[f"{prefix}high"])
-
-
-def mean_text(values: np.ndarray, digits: int, style: str = "") -> str:
-    """Return the mean of `values [seeds]`, of several with the standard error in brackets; `style` is "," for thousands."""
-    return error_text(values.mean(), stderr(values), f"{style}.{digits}f")
+def mean_text(values: np.ndarray, style: str) -> str:
+    """Return the mean of `values [seeds]` in a format, of several with the standard error in brackets."""
+    return error_text(values.mean(), stderr(values), style)

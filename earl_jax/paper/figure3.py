@@ -37,7 +37,6 @@ stuck around the goal box, and lets the Minitaur go away from the goals."""
 GOAL_RADIUS = {"sawyer_peg": 0.12}
 """Distance in metres of a visit to a goal that counts as near, by task (ours): the block reaches 0.1 m from its middle."""
 MEASURES = ("distance", "corners", "near_goal", *visitation.MEASURES)
-MISSING = "-"
 UNEQUAL = "not tested: the runs end at different steps"
 """The verdict where they do: a run has the map of its end alone."""
 WORDS = {"above": "as published", "below": "opposite to published"}
@@ -127,7 +126,7 @@ def _visit_rows(part: VisitMap) -> list[Row]:
 def _measures_table(rows: Sequence[Row]) -> str:
     lines = []
     for name, seeds in grouped(rows, "env", "algo").items():
-        texts = [MISSING if seeds[0][each] is None else mean_text(column(seeds, each), 3) for each in MEASURES]
+        texts = [mean_text(column(seeds, each), ".3f") for each in MEASURES]
         lines.append([*name, len(seeds), f"{seeds[0]['steps']:,}", *texts])
     return markdown_table(["task", "method", "seeds", "steps", *(each.replace("_", " ") for each in MEASURES)], lines)
 

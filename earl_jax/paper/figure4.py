@@ -14,7 +14,7 @@ from earl_jax import assets
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.statistics import Estimate, relative_drop
-from earl_jax.paper.artefact import Artefact, Report, Row, column, estimate_of, grouped, runs_of
+from earl_jax.paper.artefact import Artefact, Report, Row, column, grouped, runs_of
 from earl_jax.report.pooling import pooling_key
 from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach
 from earl_jax.report.tables import interval_text, markdown_table
@@ -84,8 +84,8 @@ def _percent(share: float | None) -> str:
 def _parts(methods: Sequence[Row]) -> dict[str, str]:
     lines = []
     for row in methods:
-        successes = [interval_text(*estimate_of(row, name, f"{name}_")) for name in ("initial", "uniform")]
-        drop = interval_text(*(100 * end for end in estimate_of(row, "drop", "drop_")), style=".1f")
+        successes = [interval_text(*Estimate.of_row(row, name, f"{name}_")) for name in ("initial", "uniform")]
+        drop = interval_text(*(100 * end for end in Estimate.of_row(row, "drop", "drop_")), style=".1f")
         lines.append([row["algo"], row["seeds"], *successes, drop, _percent(row["published_drop"]), row["verdict"]])
     header = ["method", "seeds", "from s0", "from uniform starts", "drop, %", "published drop", "verdict"]
     missing = [name for row in assets.published("figure4") if (name := row["algo"]) not in {m["algo"] for m in methods}]
@@ -104,8 +104,8 @@ def _draw(methods: Sequence[Row]) -> Any:
     axis, palette = axes[0, 0], colours(row["algo"] for row in methods)
     for position, row in enumerate(methods):
         colour = palette[row["algo"]]
-        _draw_bar(axis, position - 0.2, estimate_of(row, "initial", "initial_"), color=colour)
-        _draw_bar(axis, position + 0.2, estimate_of(row, "uniform", "uniform_"), color=colour, alpha=0.45, hatch="//")
+        for name, x, look in (("initial", -0.2, {}), ("uniform", 0.2, {"alpha": 0.45, "hatch": "//"})):
+            _draw_bar(axis, position + x, Estimate.of_row(row, name, f"{name}_"), color=colour, **look)
         text = f"Drop {_percent(row['drop'])}\npublished {_percent(row['published_drop'])}"
         axis.text(position, 1.06, text, ha="center", va="bottom", fontsize="small")
     axis.set_xticks(range(len(methods)), [method_title(row["algo"]) for row in methods])

@@ -62,7 +62,7 @@ def _line(curves: Curves) -> list[str]:
     crossings, published = [], crossings_beside(curves)
     for level, estimate in level_crossings(curves).items():
         crossings += [step_interval(*estimate), millions(published.get(level))]
-    digits = 3 if curves.deployed_metric == SUCCESS else 1
+    digits = ".3f" if curves.deployed_metric == SUCCESS else ".1f"
     return [
         curves.env,
         curves.label,
@@ -70,21 +70,21 @@ def _line(curves: Curves) -> list[str]:
         f"{curves.steps[-1]:,}",
         *crossings,
         mean_text(deployed_area(curves.steps, scores), digits),
-        mean_text(rewards[:, -1], 4),
-        _released_text(2, curves, 4),
+        mean_text(rewards[:, -1], ".4f"),
+        _released_text(2, curves, ".4f"),
         mean_text(seed_scores(curves), digits),
         _released_text(1, curves, digits),
     ]
 
 
-def _released_text(number: int, curves: Curves, digits: int) -> str:
+def _released_text(number: int, curves: Curves, digits: str) -> str:
     """Return the mean score of the released runs over the steps of `curves`, as tested in table `number`; `-` without any."""
     released = released_beside(curves)
     step = common_step(curves, released) if released else None
     if not released or not step or (number == 2 and CONTINUING not in released.metrics):
         return "-"
     _, released = over_same_steps((curves, released), step)
-    return f"{table_scores(number, released).mean():.{digits}f}"
+    return format(table_scores(number, released).mean(), digits)
 
 
 def _draw(runs: Sequence[Curves]) -> Any:

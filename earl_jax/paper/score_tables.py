@@ -10,8 +10,9 @@ from typing import Any
 
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.metrics.continuing import diverged_text
+from earl_jax.metrics.statistics import Estimate
 from earl_jax.options.values import counted
-from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, estimate_of, grouped, runs_of
+from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, grouped, runs_of
 from earl_jax.paper.claims import claims_text
 from earl_jax.report.comparison import compared_texts
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
@@ -64,7 +65,7 @@ def _table_by_task(rows: Sequence[Row]) -> str:
 
 def _comparison(row: Row) -> str:
     style = f".{DIGITS.get(row['metric'], 4)}f"
-    ours = "-" if row["mean"] is None else error_text(row["mean"], row["stderr"], style)
+    ours = error_text(row["mean"], row["stderr"], style)
     verdict = " ".join(filter(None, (row["verdict"].strip("-"), share_of_steps(row)))) or "-"
     return f"{ours} / {PublishedScore(row['published_mean'], row['published_stderr']).text} / {verdict}"
 
@@ -139,7 +140,7 @@ def _draw_task(axis: Any, rows: Sequence[Row], palette: dict[str, str]) -> None:
             middle = PublishedScore(row["published_mean"], "-").value
             axis.plot([position - 0.35, position + 0.35], [middle, middle], color="0.35", linewidth=1.5)
         if row["mean"] is not None:
-            interval, marks = reach(estimate_of(row, "mean")), {"fmt": "o", "linewidth": 1.8, "markersize": 6}
+            interval, marks = reach(Estimate.of_row(row, "mean")), {"fmt": "o", "linewidth": 1.8, "markersize": 6}
             axis.errorbar(position, row["mean"], interval, color=palette[row["algo"]], capsize=4, **marks)
     titles = [method_title(row["label"]) for row in rows]
     names = [title if len(title) <= LONGEST else f"{title[: LONGEST - 1]}…" for title in titles]

@@ -125,8 +125,8 @@ def finding(rows: Sequence[Row]) -> Row:
 def _points_table(rows: Sequence[Row]) -> str:
     lines = []
     for (*name, value, steps), seeds in grouped(rows, *LINE, "value", "steps").items():
-        texts = [mean_text(column(seeds, score), 3) for score in ("final", "deployed_area")]
-        spent, ended = mean_text(column(seeds, "interventions"), 1, ","), f"{column(seeds, 'ended').mean():.2f}"
+        texts = [mean_text(column(seeds, score), ".3f") for score in ("final", "deployed_area")]
+        spent, ended = mean_text(column(seeds, "interventions"), ",.1f"), f"{column(seeds, 'ended').mean():.2f}"
         lines.append([*name, f"{value:g}", len(seeds), f"{steps:,}", spent, *texts, ended])
     header = ["task", "method", "varied", "value", "seeds", "steps", "interventions", "final", "D(A)", "ended"]
     return markdown_table(header, lines)

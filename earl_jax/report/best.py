@@ -10,6 +10,7 @@ import numpy as np
 from earl_jax.errors import require_known
 from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, smallest_p
 from earl_jax.metrics.scores import DEFAULT, Window
+from earl_jax.metrics.statistics import Estimate
 from earl_jax.options.values import COUNT, counted, require
 from earl_jax.report.comparison import comparison_columns, verdict_text, with_verdicts
 from earl_jax.report.pooling import read_methods
@@ -25,8 +26,8 @@ COLUMNS: tuple[Column, ...] = (
     ("run", lambda row: row["label"]),
     ("seeds", lambda row: row["seeds"]),
     ("steps", lambda row: f"{row['steps']:,}"),
-    ("score [95 %]", lambda row: interval_text(row["score"], row["low"], row["high"])),
-    ("best minus this [95 %]", lambda row: interval_text(*(row[f"difference{end}"] for end in ("", "_low", "_high")))),
+    ("score [95 %]", lambda row: interval_text(*Estimate.of_row(row, "score"))),
+    ("best minus this [95 %]", lambda row: interval_text(*Estimate.of_row(row, "difference", "difference_"))),
     ("adjusted p", lambda row: number_text(row["p_holm"])),
     ("verdict", lambda row: verdict_text(row)),
 )

@@ -68,9 +68,9 @@ COLUMNS: tuple[Column, ...] = (
     ("first", lambda row: f"{row['first']}, {counted(row['seeds'], 'seed')}"),
     ("second", lambda row: f"{row['second']}, {counted(row['other_seeds'], 'seed')}"),
     ("steps", lambda row: millions(row["steps"])),
-    ("first, mean [95 %]", lambda row: interval_text(row["mean"], row["mean_low"], row["mean_high"], "")),
+    ("first, mean [95 %]", lambda row: interval_text(*Estimate.of_row(row, "mean", "mean_"), "")),
     ("second, mean", lambda row: number_text(row["other_mean"])),
-    ("difference [95 %]", lambda row: interval_text(row["difference"], row["low"], row["high"], "")),
+    ("difference [95 %]", lambda row: interval_text(*Estimate.of_row(row, "difference"), "")),
     ("p", lambda row: number_text(row["p"])),
     ("adjusted p", lambda row: number_text(row["p_holm"])),
     ("verdict", lambda row: verdict_text(row)),
@@ -224,7 +224,7 @@ def verdict_text(row: Row, number: Callable[[float], str] = number_text, words: 
 
 def compared_texts(row: Row, style: str = "", prefix: str = "", **words: str) -> list[str]:
     """Return the difference of a row with its interval, p, adjusted p and `verdict_text`; `prefix` as in `comparison_columns`."""
-    difference = interval_text(row["difference"], row[f"{prefix}low"], row[f"{prefix}high"], style)
+    difference = interval_text(*Estimate.of_row(row, "difference", prefix), style)
     return [difference, number_text(row["p"]), number_text(row["p_holm"]), verdict_text(row, words=words)]
 
 
@@ -266,7 +266,7 @@ def _draw(rows: Sequence[Row]) -> Any:
     for (env, chosen), axis in zip(tasks.items(), axes[0], strict=True):
         for position, row in enumerate(chosen):
             colour = "C0" if row["verdict"] in ("above", "below") else "0.5"
-            interval = reach(Estimate(row["difference"], row["low"], row["high"]))
+            interval = reach(Estimate.of_row(row, "difference"))
             axis.errorbar(row["difference"], position, xerr=interval, fmt="o", color=colour, capsize=3)
         axis.set_yticks(range(len(chosen)), names[env], fontsize="small")
         axis.axvline(0.0, color="black", linewidth=0.8)

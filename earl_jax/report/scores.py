@@ -131,8 +131,8 @@ def life_values(metrics: dict[str, np.ndarray], last: int) -> dict[str, float | 
 
     `wide` is the mean over seeds with its 95 % interval; the others are means over seeds of what was measured of each.
     """
-    wide = mean_interval(metrics[WIDE][:, -last:].mean(axis=1), rate=True) if WIDE in metrics else (None, None, None)
-    values: dict[str, float | None] = dict(zip(("wide", "wide_low", "wide_high"), wide, strict=True))
+    wide = mean_interval(metrics[WIDE][:, -last:].mean(axis=1), True) if WIDE in metrics else Estimate(None, None, None)
+    values: dict[str, float | None] = wide.columns("wide", "wide_")
     for name, metric in MEANS.items():
         measured = [seed[~np.isnan(seed)] for seed in metrics[metric][:, -last:]] if metric in metrics else []
         means = [seed.mean() for seed in measured if len(seed)]
@@ -142,11 +142,10 @@ def life_values(metrics: dict[str, np.ndarray], last: int) -> dict[str, float | 
 
 def _crossing_columns(curves: Curves) -> dict[str, int | None]:
     """Return `steps_to_LEVEL` of both levels with the ends of its interval; None for what was not reached."""
-    return {
-        f"steps_to_{level}{end}": None if math.isnan(value) else int(value)
-        for level, estimate in level_crossings(curves).items()
-        for end, value in zip(("", "_low", "_high"), estimate, strict=True)
-    }
+    columns = {}
+    for level, estimate in level_crossings(curves).items():
+        columns |= estimate.columns(f"steps_to_{level}", f"steps_to_{level}_")
+    return {name: None if math.isnan(step) else int(step) for name, step in columns.items()}
 
 
 def steps_per_reward(curves: Curves) -> float | None:

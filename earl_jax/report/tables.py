@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.scores import DEFAULT, Window
+from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves, checked_labels, labels, options_text
 from earl_jax.report.scores import LEVELS, interval_of, row_of, seed_scores
@@ -115,25 +116,24 @@ def run_table(rows: Sequence[Row]) -> Table:
     score = f"The score of a seed is its mean over {windows_text(row['mean_over'] for row in rows)}. {INTERVALS}"
     options = [f"{row['algo']}: {row['options']}" for row in rows]
     if "metric" in rows[0]:
-        mean = (f"{rows[0]['metric']}, mean [95 %]", lambda row: _interval(row, "mean", ("low", "high"), ".4g"))
+        mean = (f"{rows[0]['metric']}, mean [95 %]", lambda row: interval_text(*Estimate.of_row(row, "mean"), ".4g"))
         return Table.of([*NAMES, ("seeds", lambda row: row["seeds"]), STEPS, mean], rows, [score, *options])
     life = [(name, cell) for name, cell in LIFE if any(cell(row) != "-" for row in rows)]
     crossed = [CROSSED] if any(row[f"steps_to_{LEVELS[0]}"] is not None for row in rows) else []
     return Table.of([*COLUMNS, *life], rows, [score, *crossed, *([LEGEND] if life else []), *options])
 
 
-def _interval(row: Row, name: str, ends: Sequence[str] = (), style: str = ".3f") -> str:
-    low, high = ends or (f"{name}_low", f"{name}_high")
-    return "-" if row[name] is None else interval_text(row[name], row[low], row[high], style)
+def _interval(name: str) -> Column:
+    return f"{name}, mean [95 %]", lambda row: interval_text(*Estimate.of_row(row, name, f"{name}_"))
 
 
 def _crossing(level: float) -> Column:
-    names = [f"steps_to_{level}{end}" for end in ("", "_low", "_high")]
-    return f"to {level} [95 %]", lambda row: step_interval(*(row[name] for name in names))
+    name = f"steps_to_{level}"
+    return f"to {level} [95 %]", lambda row: step_interval(*Estimate.of_row(row, name, f"{name}_"))
 
 
 def _number(heading: str, name: str, style: str) -> Column:
-    return heading, lambda row: "-" if row[name] is None else format(row[name], style)
+    return heading, lambda row: number_text(row[name], style)
 
 
 NAMES: tuple[Column, ...] = (("task", lambda row: row["env"]), ("method", lambda row: row["algo"]))
@@ -142,7 +142,7 @@ COLUMNS: tuple[Column, ...] = (
     *NAMES,
     ("seeds", lambda row: f"{row['seeds']}{diverged_text(row['diverged'], row['seeds'])}"),
     STEPS,
-    ("deployed, mean [95 %]", lambda row: _interval(row, "deployed")),
+    _interval("deployed"),
     _number("seeds over 0.5", "seeds_above_half", ".0%"),
     ("published deployed", lambda row: row["published_deployed"] or "-"),
     ("continuing (stderr)", lambda row: error_text(row["continuing"], row["continuing_stderr"], ".5f")),
@@ -151,7 +151,7 @@ COLUMNS: tuple[Column, ...] = (
     _number("steps/reward", "steps_per_reward", ".1f"),
 )
 LIFE: tuple[Column, ...] = (
-    ("wide, mean [95 %]", lambda row: _interval(row, "wide")),
+    _interval("wide"),
     _number("forward", "forward_success", ",.2f"),
     _number("back", "back_success", ",.2f"),
     _number("alive", "alive", ",.2f"),
@@ -216,24 +216,24 @@ def terminal_width() -> int | None:
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
-def interval_text(value: float, low: float, high: float, style: str = ".3f") -> str:
-    """Return `value [low, high]`, each as `number_text` in a format, without the interval if it is nan."""
+def interval_text(value: float | None, low: float | None, high: float | None, style: str = ".3f") -> str:
+    """Return `value [low, high]`, each as `number_text` in a format, without the interval if there is none."""
     text, *ends = (number_text(number, style) for number in (value, low, high))
-    return text if math.isnan(low) else f"{text} [{', '.join(ends)}]"
+    return text if ends[0] == "-" else f"{text} [{', '.join(ends)}]"
 
 
-def error_text(mean: float, error: float, style: str) -> str:
-    """Return a mean with its standard error in brackets, each as `number_text` in a format, without an error that is nan."""
-    text = number_text(mean, style)
-    return text if math.isnan(error) else f"{text} ({number_text(error, style)})"
+def error_text(mean: float | None, error: float | None, style: str) -> str:
+    """Return a mean with its standard error in brackets, each as `number_text` in a format, without an error if there is none."""
+    text, brackets = (number_text(number, style) for number in (mean, error))
+    return text if brackets == "-" else f"{text} ({brackets})"
 
 
-def number_text(value: float, style: str = "", least: float = -math.inf) -> str:
-    """Return a number in a format, by default with three digits; `-` for nan.
+def number_text(value: float | None, style: str = "", least: float = -math.inf) -> str:
+    """Return a number in a format, by default with three digits; `-` for None and nan.
 
     In a format of significant digits, thousands have no fraction and no exponent. A number below `least` is `<` and that.
     """
-    if math.isnan(value):
+    if value is None or math.isnan(value):
         return "-"
     style = style or ".3g"
     if style.endswith("g") and abs(value) >= 999.5:
