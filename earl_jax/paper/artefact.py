@@ -95,11 +95,6 @@ def runs_of(*methods: str) -> Callable[[str], list[Block]]:
     return lambda env: [Block(env, methods_on(env, methods), training_steps(env))]
 
 
-def grouped(rows: Iterable[Row], *names: str) -> dict[tuple[Any, ...], list[Row]]:
-    """Return `rows` by their values of the columns `names`, in the order in which they occur."""
-    return style.grouped(rows, lambda row: tuple(row[name] for name in names))
-
-
 def column(rows: Iterable[Row], name: str) -> np.ndarray:
     """Return the numbers [rows] of a column, nan for None."""
     return np.array([row[name] for row in rows], float)

@@ -6,6 +6,7 @@ thresholded map of the difference; the measures and tests of its claims are ours
 
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,9 +16,9 @@ from earl_jax.envs import Map
 from earl_jax.errors import InputError
 from earl_jax.metrics import visitation
 from earl_jax.metrics.comparison import LEVEL, Sample
-from earl_jax.paper.artefact import Artefact, Report, Row, column, grouped, mean_text, runs_of
+from earl_jax.paper.artefact import Artefact, Report, Row, column, mean_text, runs_of
+from earl_jax.report import style
 from earl_jax.report.comparison import UNTESTED, compared_texts, comparison_columns, verdict_text, with_verdicts
-from earl_jax.report.style import COLOURS, legend_below, method_order, method_title, new_figure, task_order, task_title
 from earl_jax.report.tables import markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import load_visits
@@ -82,7 +83,7 @@ def report_of(maps: Sequence[VisitMap]) -> Report:
     by_name = {(part.env, part.algo): part for part in maps}
     if not maps or len(by_name) < len(maps):
         raise InputError(f"figure 3 needs one map of visits for each task and method, got {list(by_name)}")
-    envs, algos = task_order(env for env, _ in by_name), method_order(algo for _, algo in by_name)
+    envs, algos = style.task_order(env for env, _ in by_name), style.method_order(algo for _, algo in by_name)
     maps = [by_name[name] for env in envs for algo in algos if (name := (env, algo)) in by_name]
     rows = [row for part in maps for row in seed_rows(part)]
     missing = {env: [algo for algo in METHODS if (env, algo) not in by_name] for env in envs}
@@ -125,7 +126,7 @@ def _visit_rows(part: VisitMap) -> list[Row]:
 
 def _measures_table(rows: Sequence[Row]) -> str:
     lines = []
-    for name, seeds in grouped(rows, "env", "algo").items():
+    for name, seeds in style.grouped(rows, itemgetter("env", "algo")).items():
         texts = [mean_text(column(seeds, each), ".3f") for each in MEASURES]
         lines.append([*name, len(seeds), f"{seeds[0]['steps']:,}", *texts])
     return markdown_table(["task", "method", "seeds", "steps", *(each.replace("_", " ") for each in MEASURES)], lines)
@@ -133,7 +134,7 @@ def _measures_table(rows: Sequence[Row]) -> str:
 
 def verdicts(rows: Sequence[Row]) -> list[Row]:
     """Return a row per published claim about a task that `seed_rows` of both methods are about: means, test and verdict."""
-    seeds, results = grouped(rows, "env", "algo"), []
+    seeds, results = style.grouped(rows, itemgetter("env", "algo")), []
     for env, measure in CLAIMS:
         if all((env, algo) in seeds for algo in METHODS):
             fbrl, oracle = (column(seeds[env, algo], measure) for algo in METHODS)
@@ -163,30 +164,30 @@ def _verdicts_table(results: Sequence[Row]) -> str:
 
 def _draw(maps: Sequence[VisitMap]) -> Any:
     """Return a figure with a row per task, a column per method and one of the difference of `PAIR`; each row has a scale."""
-    algos, tasks = method_order(part.algo for part in maps), {part.env: part.map for part in maps}
+    algos, tasks = style.method_order(part.algo for part in maps), {part.env: part.map for part in maps}
     sizes = [np.ptp(task_map.bounds, axis=0) for task_map in tasks.values()]
     heights = [float(np.clip(height / width, 0.4, 1.6)) for width, height in sizes]
     size = (3.4 * (len(algos) + 1) + 1.4, sum(3.1 * height + 0.7 for height in heights))
-    figure, axes = new_figure(len(tasks), len(algos) + 1, size, gridspec_kw={"height_ratios": heights})
+    figure, axes = style.new_figure(len(tasks), len(algos) + 1, size, gridspec_kw={"height_ratios": heights})
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
-    signs = {"cmap": ListedColormap([COLOURS[PAIR[1]], "white", COLOURS[PAIR[0]]]), "vmin": -1, "vmax": 1}
+    signs = {"cmap": ListedColormap([style.COLOURS[PAIR[1]], "white", style.COLOURS[PAIR[0]]]), "vmin": -1, "vmax": 1}
     for axis in axes.flat:
         axis.set_axis_off()
     for (name, task_map), line in zip(tasks.items(), axes, strict=True):
         own = {part.algo: part.shares for part in maps if part.env == name}
         norm = _colour_norm(list(own.values()))
         for algo, values in own.items():
-            axis, title = line[algos.index(algo)], f"{task_title(name)}, {method_title(algo)}"
+            axis, title = line[algos.index(algo)], f"{style.task_title(name)}, {style.method_title(algo)}"
             _draw_map(axis, task_map, np.ma.masked_equal(values, 0), title, norm=norm, cmap="viridis")
         if set(PAIR) <= own.keys():
             larger = difference(*(own[algo] for algo in PAIR))
-            _draw_map(line[-1], task_map, larger, " minus ".join(map(method_title, PAIR)), **signs)
+            _draw_map(line[-1], task_map, larger, " minus ".join(map(style.method_title, PAIR)), **signs)
         figure.colorbar(ScalarMappable(norm, "viridis"), ax=line.tolist(), label="Share of visits in a bin")
-    patches = {f"More visits of {method_title(algo)}": Patch(color=COLOURS[algo]) for algo in PAIR}
-    legend_below(figure, patches, 2, loc="outside lower right")
+    patches = {f"More visits of {style.method_title(algo)}": Patch(color=style.COLOURS[algo]) for algo in PAIR}
+    style.legend_below(figure, patches, 2, loc="outside lower right")
     return figure
 
 
@@ -205,12 +206,12 @@ def _colour_norm(maps: Sequence[np.ndarray]) -> Any:
     return LogNorm(low if low < high else high / 10, high)
 
 
-def _draw_map(axis: Any, task_map: Map, values: np.ndarray, title: str, **style: Any) -> None:
+def _draw_map(axis: Any, task_map: Map, values: np.ndarray, title: str, **look: Any) -> None:
     """Draw `values [B, B]`, first axis x, with the positions of starts, or of their middle if there are many, and of goals."""
     (x_low, y_low), (x_high, y_high) = np.asarray(task_map.bounds)
     axis.set_axis_on()
     axis.set_facecolor("white")
-    axis.imshow(values.T, origin="lower", extent=(x_low, x_high, y_low, y_high), aspect="equal", **style)
+    axis.imshow(values.T, origin="lower", extent=(x_low, x_high, y_low, y_high), aspect="equal", **look)
     x, y = (f"{name}, {task_map.unit}" for name in "xy")
     axis.set(title=title, xlabel=x, ylabel=y, xlim=(x_low, x_high), ylim=(y_low, y_high))
     if task_map.starts is not None:

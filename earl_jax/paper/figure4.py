@@ -5,6 +5,7 @@ Source: Sharma et al. 2022, figure 4.
 
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,9 @@ from earl_jax import assets
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.statistics import Estimate, relative_drop
-from earl_jax.paper.artefact import Artefact, Report, Row, column, grouped, runs_of
+from earl_jax.paper.artefact import Artefact, Report, Row, column, runs_of
+from earl_jax.report import style
 from earl_jax.report.pooling import pooling_key
-from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach
 from earl_jax.report.tables import interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import evaluate
@@ -49,8 +50,8 @@ def report(folders: Sequence[Path]) -> Report:
 
 def report_of(rows: list[Row]) -> Report:
     """Return figure 4 from a row per seed of algo, seed, success_initial, success_uniform."""
-    by_method = grouped(rows, "algo")
-    methods = [_row(algo, by_method[algo,]) for algo in method_order(algo for (algo,) in by_method)]
+    by_method = style.grouped(rows, itemgetter("algo"))
+    methods = [_row(algo, by_method[algo]) for algo in style.method_order(by_method)]
     return Report(_parts(methods), _draw(methods), {"": methods, "_seeds": rows})
 
 
@@ -98,23 +99,23 @@ def _parts(methods: Sequence[Row]) -> dict[str, str]:
 
 def _draw(methods: Sequence[Row]) -> Any:
     """Return a figure with two bars per method, and the drops above them."""
-    figure, axes = new_figure(1, 1, (max(1.7 * len(methods) + 1.5, 5.2), 4.4))
+    figure, axes = style.new_figure(1, 1, (max(1.7 * len(methods) + 1.5, 5.2), 4.4))
     from matplotlib.patches import Patch
 
-    axis, palette = axes[0, 0], colours(row["algo"] for row in methods)
+    axis, palette = axes[0, 0], style.colours(row["algo"] for row in methods)
     for position, row in enumerate(methods):
         colour = palette[row["algo"]]
         for name, x, look in (("initial", -0.2, {}), ("uniform", 0.2, {"alpha": 0.45, "hatch": "//"})):
             _draw_bar(axis, position + x, Estimate.of_row(row, name, f"{name}_"), color=colour, **look)
         text = f"Drop {_percent(row['drop'])}\npublished {_percent(row['published_drop'])}"
         axis.text(position, 1.06, text, ha="center", va="bottom", fontsize="small")
-    axis.set_xticks(range(len(methods)), [method_title(row["algo"]) for row in methods])
+    axis.set_xticks(range(len(methods)), [style.method_title(row["algo"]) for row in methods])
     limits = {"xlim": (-0.6, len(methods) - 0.4), "ylim": (0, 1.25)}
-    axis.set(**limits, ylabel=AXES["deployed/success"], yticks=np.linspace(0, 1, 6))
+    axis.set(**limits, ylabel=style.AXES["deployed/success"], yticks=np.linspace(0, 1, 6))
     axis.grid(axis="y", alpha=0.3)
     axis.set_axisbelow(True)
     initial, uniform = Patch(color="0.4"), Patch(facecolor="0.4", alpha=0.45, hatch="//")
-    legend_below(figure, {"From the published start": initial, "From uniform starts": uniform}, 2)
+    style.legend_below(figure, {"From the published start": initial, "From uniform starts": uniform}, 2)
     return figure
 
 
@@ -122,7 +123,7 @@ def _draw_bar(axis: Any, x: float, estimate: Estimate, **bar_style: Any) -> None
     """Draw a bar with its interval, black on a white outline."""
     axis.bar(x, estimate.value, 0.36, **bar_style)
     for colour, width in (("white", 2.6), ("black", 1.2)):
-        axis.errorbar(x, estimate.value, reach(estimate), fmt="none", color=colour, capsize=3, linewidth=width)
+        axis.errorbar(x, estimate.value, style.reach(estimate), fmt="none", color=colour, capsize=3, linewidth=width)
 
 
 FIGURE4 = Artefact("figure4", ("tabletop_organization",), runs_of(*METHODS), report)

@@ -5,6 +5,7 @@ Source: Sharma et al. 2022, tables 1 and 2.
 
 import functools
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,13 @@ from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.options.values import counted
-from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, grouped, runs_of
+from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, runs_of
 from earl_jax.paper.claims import claims_text
+from earl_jax.report import style
 from earl_jax.report.comparison import compared_texts
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import INTERVAL_RULE, PublishedScore, published_fault
-from earl_jax.report.style import AXES, colours, legend_below, method_order, method_title, new_figure, reach, task_title
 from earl_jax.report.tables import error_text, markdown_table, millions
 from earl_jax.runs.config import DEPLOYED
 
@@ -28,7 +29,7 @@ CHOSEN_RULE = (
 )
 TESTS = ("task", "method", "steps", "ours", "published", "difference [95 %]", "p", "adjusted p", "verdict", "chosen")
 """The columns of the table of tests."""
-DIGITS = {"deployed/success": 3, "deployed/return": 2}
+DIGITS = {"deployed/success": ".3f", "deployed/return": ".2f"}
 LONGEST = 40
 """Letters of a label in the picture at most."""
 
@@ -57,15 +58,15 @@ def _table_by_task(rows: Sequence[Row]) -> str:
     """Return a markdown table of the scores, a line per method and a column per task."""
     envs = list(dict.fromkeys(row["env"] for row in rows))
     texts = {(row["label"], row["env"]): _comparison(row) for row in rows}
-    algos = method_order(row["algo"] for row in rows)
+    algos = style.method_order(row["algo"] for row in rows)
     names = dict.fromkeys(row["label"] for algo in algos for row in rows if row["algo"] == algo)
     lines = [[name, *(texts.get((name, env), "-") for env in envs)] for name in names]
     return markdown_table(["method", *envs], lines)
 
 
 def _comparison(row: Row) -> str:
-    style = f".{DIGITS.get(row['metric'], 4)}f"
-    ours = error_text(row["mean"], row["stderr"], style)
+    digits = DIGITS.get(row["metric"], ".4f")
+    ours = error_text(row["mean"], row["stderr"], digits)
     verdict = " ".join(filter(None, (row["verdict"].strip("-"), share_of_steps(row)))) or "-"
     return f"{ours} / {PublishedScore(row['published_mean'], row['published_stderr']).text} / {verdict}"
 
@@ -76,10 +77,10 @@ def _tests(tested: Sequence[Row]) -> str:
         return "No run can be tested against the paper."
     lines = []
     for row in tested:
-        style = f".{DIGITS.get(row['metric'], 4)}f"
-        means = [format(row[name], style) for name in ("tested_mean", "other_mean")]
+        digits = DIGITS.get(row["metric"], ".4f")
+        means = [format(row[name], digits) for name in ("tested_mean", "other_mean")]
         names = [row["env"], row["label"], millions(row["tested_steps"])]
-        lines.append([*names, *means, *compared_texts(row, style, "difference_"), row["chosen"]])
+        lines.append([*names, *means, *compared_texts(row, digits, "difference_"), row["chosen"]])
     return f"{markdown_table(TESTS, lines)}\n\n{CHOSEN_RULE}"
 
 
@@ -99,8 +100,8 @@ def _run_note(row: Row) -> str:
 
 
 def _missing(rows: Sequence[Row]) -> str:
-    missing = grouped([row for row in rows if row["seeds"] is None], "env")
-    texts = [f"{env} ({', '.join(row['algo'] for row in of_task)})" for (env,), of_task in missing.items()]
+    missing = style.grouped([row for row in rows if row["seeds"] is None], itemgetter("env"))
+    texts = [f"{env} ({', '.join(row['algo'] for row in of_task)})" for env, of_task in missing.items()]
     return f"Not run, shown as `-`: {', '.join(texts)}." if texts else "Every method of the published table was run."
 
 
@@ -116,10 +117,10 @@ def _draw(number: int, rows: Sequence[Row], metrics: Mapping[tuple[str, str], st
     tasks = [of_task for of_task in panels.values() if any(row["seeds"] for row in of_task)]
     columns = 2 if len(tasks) == 4 else min(3, len(tasks))
     lines = -(-len(tasks) // columns)
-    figure, axes = new_figure(lines, columns, (max(4.6 * columns, 7.0), 3.3 * lines + 0.9))
+    figure, axes = style.new_figure(lines, columns, (max(4.6 * columns, 7.0), 3.3 * lines + 0.9))
     for axis in axes.flat[len(tasks) :]:
         axis.set_axis_off()
-    palette = colours(row["algo"] for row in rows)
+    palette = style.colours(row["algo"] for row in rows)
     for of_task, axis in zip(tasks, axes.flat, strict=False):
         _draw_task(axis, of_task, palette)
     figure.suptitle(HEADINGS[number])
@@ -127,7 +128,7 @@ def _draw(number: int, rows: Sequence[Row], metrics: Mapping[tuple[str, str], st
 
     ours, published = {"marker": "o", "color": "black", "linewidth": 1.8}, Patch(color="0.6", alpha=0.45)
     entries = {"Ours, mean and 95 % interval": ours, "Published, mean and 95 % interval of five seeds": published}
-    legend_below(figure, entries, 2, fontsize="small")
+    style.legend_below(figure, entries, 2, fontsize="small")
     return figure
 
 
@@ -140,15 +141,15 @@ def _draw_task(axis: Any, rows: Sequence[Row], palette: dict[str, str]) -> None:
             middle = PublishedScore(row["published_mean"], "-").value
             axis.plot([position - 0.35, position + 0.35], [middle, middle], color="0.35", linewidth=1.5)
         if row["mean"] is not None:
-            interval, marks = reach(Estimate.of_row(row, "mean")), {"fmt": "o", "linewidth": 1.8, "markersize": 6}
+            interval, marks = style.reach(Estimate.of_row(row, "mean")), {"fmt": "o", "linewidth": 1.8, "markersize": 6}
             axis.errorbar(position, row["mean"], interval, color=palette[row["algo"]], capsize=4, **marks)
-    titles = [method_title(row["label"]) for row in rows]
+    titles = [style.method_title(row["label"]) for row in rows]
     names = [title if len(title) <= LONGEST else f"{title[: LONGEST - 1]}…" for title in titles]
     slanted = {"rotation": 20, "ha": "right"} if any(row["label"] != row["algo"] for row in rows) else {}
     axis.set_xticks(range(len(rows)), names, fontsize="small", **slanted)
-    axis.set(title=task_title(rows[0]["env"]), xlim=(-0.6, len(rows) - 0.4))
+    axis.set(title=style.task_title(rows[0]["env"]), xlim=(-0.6, len(rows) - 0.4))
     metric = next(row["metric"] for row in rows if row["metric"])
-    axis.set_ylabel(AXES[metric])
+    axis.set_ylabel(style.AXES[metric])
     axis.grid(axis="y", alpha=0.3)
 
 

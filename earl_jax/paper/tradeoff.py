@@ -7,6 +7,7 @@ epsilon of an intervention, and a budget h_max for help that the agent requests 
 import itertools
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, POWER, SPLITS, mean_interval
 from earl_jax.metrics.scores import SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
-from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, grouped, mean_text, methods_on
+from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row, column, mean_text, methods_on
 from earl_jax.report import style
 from earl_jax.report.comparison import with_verdicts
 from earl_jax.report.pooling import read_all
@@ -59,7 +60,8 @@ def report(folders: Sequence[Path]) -> Report:
     """
     runs = read_all(folders)
     rows, metrics = seed_rows(runs), {run.config.env: run.deployed_metric for run in runs}
-    lines = {name: list(grouped(line, "value").values()) for name, line in grouped(rows, *LINE).items()}
+    by_line = style.grouped(rows, itemgetter(*LINE))
+    lines = {name: list(style.grouped(line, itemgetter("value")).values()) for name, line in by_line.items()}
     return Report(
         {"points": _points_table(rows), "findings": _findings_table(lines), "level": str(LEVEL)},
         _draw(lines, metrics),
@@ -124,7 +126,7 @@ def finding(rows: Sequence[Row]) -> Row:
 
 def _points_table(rows: Sequence[Row]) -> str:
     lines = []
-    for (*name, value, steps), seeds in grouped(rows, *LINE, "value", "steps").items():
+    for (*name, value, steps), seeds in style.grouped(rows, itemgetter(*LINE, "value", "steps")).items():
         texts = [mean_text(column(seeds, score), ".3f") for score in ("final", "deployed_area")]
         spent, ended = mean_text(column(seeds, "interventions"), ",.1f"), f"{column(seeds, 'ended').mean():.2f}"
         lines.append([*name, f"{value:g}", len(seeds), f"{steps:,}", spent, *texts, ended])
