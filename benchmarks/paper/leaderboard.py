@@ -189,7 +189,7 @@ def tests(runs: list[Curves]) -> list[dict[str, Any]]:
 def _pairs(runs: list[Curves]) -> Iterator[tuple[Curves, Curves]]:
     """Yield the pairs of runs that the questions compare."""
     longest: dict[tuple[str, str], Curves] = {}
-    for curves in sorted(runs, key=lambda curves: (-curves.steps[-1], len(curves.options))):
+    for curves in sorted(runs, key=lambda curves: (-curves.length, len(curves.options))):
         longest.setdefault((curves.env, curves.algo), curves)
     for curves in runs:
         own, naive = longest[curves.env, curves.algo], longest.get((curves.env, "naive"))
@@ -233,7 +233,7 @@ def add(run: Path, root: Path = RESULTS) -> Path:
     _require(curves.seeds >= FEWEST_SEEDS, f"it has {curves.seeds} seeds, fewer than {FEWEST_SEEDS}")
     _require(config.eval_episodes >= FEWEST_EPISODES, f"evaluations have fewer than {FEWEST_EPISODES} episodes")
     _require(config.eval_every <= RAREST_EVALUATION, f"evaluations are more than {RAREST_EVALUATION:,} steps apart")
-    _require(int(curves.steps[-1]) == config.steps, f"it has {int(curves.steps[-1])} of {config.steps} steps")
+    _require(curves.length == config.steps, f"it has {curves.length} of {config.steps} steps")
     commit = commit_of(curves)
     releases = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
     _require(bool(commit), "its config.json has neither a commit nor a release")

@@ -64,7 +64,7 @@ def evaluate(root: Path = RUNS / TABLETOP, episodes: int = EPISODES, known: Sequ
     for folder in sorted(file.parent for file in root.rglob("policies.npz")):
         curves = read(folder)
         run = {"run": folder.relative_to(root).as_posix(), "commit": short_commit(commit_of(curves))}
-        if int(curves.steps[-1]) == length and not any(run.items() <= row.items() for row in known):
+        if curves.length == length and not any(run.items() <= row.items() for row in known):
             rows = [row for row in rows if row["run"] != run["run"]]
             rows += [{**run, **row} for row in _run_rows(folder, episodes)]
     return rows

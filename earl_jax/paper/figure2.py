@@ -101,7 +101,7 @@ def report(folders: Sequence[Path]) -> Report:
     """
     arms = _arms(read_all(folders))
     points = [point for arm in arms.values() for point in arm]
-    rows = [point.row(point.scores, steps=int(point.run.steps[-1]), seeds=point.run.seeds) for point in points]
+    rows = [point.row(point.scores, steps=point.run.length, seeds=point.run.seeds) for point in points]
     curves = [
         point.row(scores, step=step)
         for point in points
@@ -147,7 +147,7 @@ def _run_note(run: Curves) -> str:
     if isinstance(learner, SAC):
         kind = "fixed at" if learner.fixed_temperature else "learnt from"
         text = f"temperature {kind} {learner.initial_temperature:g}"
-    lengths = f"{run.steps[-1]:,} steps, {_goals_text(run.config)}"
+    lengths = f"{run.length:,} steps, {_goals_text(run.config)}"
     return f"- {run.config.env}: {lengths}, {text}, reward scale {learner.reward_scale:g}"
 
 

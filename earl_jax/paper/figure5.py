@@ -67,7 +67,7 @@ def _line(curves: Curves) -> list[str]:
         curves.env,
         curves.label,
         str(curves.seeds),
-        f"{curves.steps[-1]:,}",
+        f"{curves.length:,}",
         *crossings,
         mean_text(deployed_area(curves.steps, scores), digits),
         mean_text(rewards[:, -1], ".4f"),
@@ -101,7 +101,7 @@ def _draw(runs: Sequence[Curves]) -> Any:
         if metric == SUCCESS:
             column[0].set_ylim(-0.04, 1.04)
         column[1].set_ylabel(style.AXES[CONTINUING])
-        column[0].set_xlim(0, max(curves.steps[-1] for curves in of_task))
+        column[0].set_xlim(0, max(curves.length for curves in of_task))
         style.step_axis(column[1])
         for axis in column:
             axis.grid(alpha=0.3)

@@ -88,7 +88,7 @@ def seed_rows(runs: Sequence[Curves]) -> list[Row]:
     rows = []
     for name in [name for name in itertools.product(envs, algos, KINDS) if name in lines]:
         values, line = zip(*sorted(lines[name].items()), strict=True)
-        for value, run in zip(values, over_same_steps(line, min(run.steps[-1] for run in line)), strict=True):
+        for value, run in zip(values, over_same_steps(line, min(run.length for run in line)), strict=True):
             rows += _rows({**dict(zip(LINE, name, strict=True)), "value": value}, run)
     return rows
 
@@ -101,7 +101,7 @@ def _rows(key: Row, run: Curves) -> list[Row]:
         "deployed_area": deployed_area(run.steps, metrics[run.deployed_metric]),
         "ended": metrics["help/over"][:, -1] if key["kind"] == "budget" else none,
     }
-    key = {**key, "steps": int(run.steps[-1])}
+    key = {**key, "steps": run.length}
     return [
         {**key, "lane": lane, **{name: float(values[lane]) for name, values in scores.items()}}
         for lane in range(run.seeds)

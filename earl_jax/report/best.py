@@ -64,13 +64,13 @@ def best(
 
 
 def _ranked(runs: Sequence[Curves], test: Test, metric: str | None) -> list[Row]:
-    longest = max(curves.steps[-1] for curves in runs)
+    longest = max(curves.length for curves in runs)
     pairs = [
         (curves, seed_scores(same, metric=metric))
-        for of_length in grouped(runs, lambda curves: int(curves.steps[-1])).values()
+        for of_length in grouped(runs, lambda curves: curves.length).values()
         for curves, same in zip(of_length, over_same_steps(of_length), strict=True)
     ]
-    pairs.sort(key=lambda pair: (pair[0].steps[-1] < longest, np.isnan(pair[1].mean()), -pair[1].mean()))
+    pairs.sort(key=lambda pair: (pair[0].length < longest, np.isnan(pair[1].mean()), -pair[1].mean()))
     rows = [_row(rank, curves, scores, metric) for rank, (curves, scores) in enumerate(pairs, 1)]
     leader = pairs[0][1]
     tested = [(row, scores) for row, (_, scores) in zip(rows[1:], pairs[1:], strict=True) if row["steps"] == longest]
@@ -95,7 +95,7 @@ def _row(rank: int, curves: Curves, scores: np.ndarray, metric: str | None) -> R
     interval = interval_of(curves, scores, metric)
     return {
         "env": curves.env, "rank": rank, "method": curves.algo, "label": curves.label, "options": options_text(curves.options),
-        "metric": metric or curves.deployed_metric, "seeds": len(scores), "steps": int(curves.steps[-1]),
+        "metric": metric or curves.deployed_metric, "seeds": len(scores), "steps": curves.length,
         "mean_over": curves.window.text, **interval.columns("score"),
         **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p", "detectable"), math.nan),
         "other_seeds": len(scores),

@@ -161,7 +161,7 @@ def _printed_rows(curves: Curves) -> list[Row]:
     sample, length = score and score.sample, (published_steps(curves.env) or (0, 0))[0]
     if not score or not sample:
         return []
-    step = int(curves.steps[-1])
+    step = curves.length
     row = _row(curves, step, seed_scores(curves), f"published {score.text}", sample)
     if curves.env in RECONSTRUCTED:
         row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}

@@ -57,7 +57,7 @@ def run_row(curves: Curves, source: str = OURS) -> Row:
         "method": curves.label,
         "source": source,
         "seeds": curves.seeds,
-        "steps": int(curves.steps[-1]),
+        "steps": curves.length,
         "deployed": deployed,
         "wide": wide,
         "continuing": interval_text(*interval_of(curves, curves.metrics[CONTINUING][:, -1], CONTINUING)),

@@ -78,7 +78,7 @@ def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
     }
     if curves:
         row |= {"label": curves.label, "options": options_text(curves.options), "chosen": chosen_words(curves)}
-        metric, step = curves.deployed_metric if number == 1 else CONTINUING, int(curves.steps[-1])
+        metric, step = curves.deployed_metric if number == 1 else CONTINUING, curves.length
         scores = table_scores(number, curves)
         mean, low, high = interval_of(curves, scores, metric)
         values = (metric, len(scores), curves.diverged, step, mean, float(stderr(scores)), low, high)
@@ -90,7 +90,7 @@ def _test(number: int, curves: Curves, score: PublishedScore | None) -> Row:
     """Return the columns of the test against the released runs, or else against the printed `score` at its length; {} without."""
     released = released_beside(curves)
     if released is None:
-        step, other = int(curves.steps[-1]), score and score.sample
+        step, other = curves.length, score and score.sample
         if not other or step < (published_steps(curves.env) or (0, 0))[0]:
             return {}
     else:

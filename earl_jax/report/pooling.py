@@ -134,16 +134,16 @@ def _once(run: Curves) -> Curves:
 
 def _over_steps_of(parts: Sequence[Curves], run: Curves) -> Curves:
     """Return the `run` that is pooled of `parts`, scored over as many steps as they are, though it has fewer evaluations."""
-    has_all = all(len(run.steps) == (part.steps <= run.steps[-1]).sum() for part in parts)
-    return run if has_all else run._replace(window=over_same_steps(parts, run.steps[-1])[0].window)
+    has_all = all(len(run.steps) == (part.steps <= run.length).sum() for part in parts)
+    return run if has_all else run._replace(window=over_same_steps(parts, run.length)[0].window)
 
 
 def _warn_if_shortened(run: Curves, parts: Sequence[Curves]) -> None:
     """Warn if the `run` that is pooled of `parts` ends before the longest of them."""
-    shortest, longest = (choice(parts, key=lambda part: part.steps[-1]) for choice in (min, max))
-    if run.steps[-1] < longest.steps[-1]:
+    shortest, longest = (choice(parts, key=lambda part: part.length) for choice in (min, max))
+    if run.length < longest.length:
         paths = [part.runs[0].path for part in (longest, shortest)]
-        counted = f"counts up to step {run.steps[-1]} of {longest.steps[-1]} only"
+        counted = f"counts up to step {run.length} of {longest.length} only"
         warnings.warn(f"{paths[0]} is pooled with {paths[1]} and {counted}", RunWarning, stacklevel=3)
 
 

@@ -67,6 +67,11 @@ class Curves(NamedTuple):
         """N, the number of seeds."""
         return len(self.metrics[self.deployed_metric])
 
+    @property
+    def length(self) -> int:
+        """The step of the last evaluation."""
+        return int(self.steps[-1])
+
     def score(self, metric: str | None = None) -> Score:
         """Return the score of the seeds over the evaluations of `window`, by default of the deployed metric."""
         return Score.of(self.steps, self.metrics, metric or self.deployed_metric, self.window)
@@ -182,7 +187,7 @@ def common_step(first: Curves, second: Curves, share: float = 1.0) -> int | None
     It is None before the first evaluation of one.
     """
     rarer = max((first, second), key=lambda curves: spacing(curves.steps))
-    steps = rarer.steps[rarer.steps <= int(share * min(first.steps[-1], second.steps[-1]))]
+    steps = rarer.steps[rarer.steps <= int(share * min(first.length, second.length))]
     return int(steps[-1]) if len(steps) and steps[-1] >= max(first.steps[0], second.steps[0]) else None
 
 

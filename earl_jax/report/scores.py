@@ -51,7 +51,7 @@ def over_same_steps(runs: Sequence[Curves], step: float = math.inf) -> list[Curv
     runs = [run.until(step) for run in runs]
     if runs[0].window.last is not None:
         return runs
-    span = max(int(run.steps[-1] - run.steps[-run.window.count(run.steps)]) for run in runs)
+    span = max(run.length - int(run.steps[-run.window.count(run.steps)]) for run in runs)
     window = Window(steps=span + min(spacing(run.steps) for run in runs))
     return [run._replace(window=window) for run in runs]
 
@@ -109,7 +109,7 @@ def row_of(curves: Curves) -> dict[str, Any]:
         "options": options_text(curves.options),
         "seeds": len(deployed),
         "diverged": curves.diverged,
-        "steps": int(curves.steps[-1]),
+        "steps": curves.length,
         "mean_over": curves.window.text,
         "deployed": interval.value,
         "deployed_stderr": float(stderr(deployed)),

@@ -102,7 +102,7 @@ def _metric_row(curves: Curves, metric: str) -> Row:
     interval = interval_of(curves, seed_scores(curves, metric=metric), metric)
     return {
         "env": curves.env, "algo": curves.label, "options": options_text(curves.options), "seeds": curves.seeds,
-        "steps": int(curves.steps[-1]), "metric": metric, "mean_over": curves.window.text, **interval.columns("mean"),
+        "steps": curves.length, "metric": metric, "mean_over": curves.window.text, **interval.columns("mean"),
     }  # fmt: skip
 
 

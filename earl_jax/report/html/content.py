@@ -49,7 +49,7 @@ def page_content(lines: Sequence[Line], policies: PolicyVideos | None = None) ->
 def _summary(lines: Sequence[Line], versions: dict[str, list[str]]) -> dict[str, str]:
     runs = len({run.path for line in lines for run in line.curves.runs})
     seeds = sum(len(line.seeds) for line in lines)
-    steps = sum(int(line.curves.steps[-1]) * len(line.curves.run_seeds) for line in lines)
+    steps = sum(line.curves.length * len(line.curves.run_seeds) for line in lines)
     return {
         "Runs": f"{runs}, with {counted(seeds, 'seed')} and {steps_text(steps)} steps in total",
         "Methods": ", ".join(dict.fromkeys(line.curves.algo for line in lines)),
@@ -88,7 +88,7 @@ def _notes(lines: Sequence[Line]) -> list[str]:
     """Return notes on one task's runs: unfinished ones, and seeds that ran twice."""
     notes: list[str] = []
     for line in lines:
-        trained, planned = int(line.curves.steps[-1]), max(run.config.steps for run in line.curves.runs)
+        trained, planned = line.curves.length, max(run.config.steps for run in line.curves.runs)
         if trained < planned:
             notes.append(f"{line.curves.label}: {trained:,} of {planned:,} steps trained.")
         repeated = ", ".join(map(str, sorted(line.curves.repeated_seeds)))
