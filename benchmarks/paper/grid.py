@@ -8,9 +8,9 @@ from typing import Any
 from benchmarks.output import shrink
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.metrics.comparison import CANNOT_TELL
-from earl_jax.paper.artefact import METHODS, methods_on, training_steps
+from earl_jax.paper.artefact import METHODS, methods_on
 from earl_jax.report.plots import RELEASED, draw_curves
-from earl_jax.report.published import RECONSTRUCTED, published_beside, released_beside, share_text
+from earl_jax.report.published import RECONSTRUCTED, published_beside, released_beside, share_text, training_steps
 from earl_jax.report.runs import Curves
 from earl_jax.report.style import AXES, legend_below, matplotlib, method_title, new_figure, save, step_axis, task_title
 from earl_jax.report.tables import Row, markdown_table

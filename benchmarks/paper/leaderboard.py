@@ -28,13 +28,7 @@ from earl_jax.paper.artefact import methods_on
 from earl_jax.report.comparison import pair_row, with_verdicts
 from earl_jax.report.leaderboard import COLUMNS, OURS, commit_of, crossing_texts, ranked, run_row, score_text, texts
 from earl_jax.report.pooling import pooling_key
-from earl_jax.report.published import (
-    RECONSTRUCTED,
-    SEEDS,
-    published_score,
-    published_steps,
-    released_curves,
-)
+from earl_jax.report.published import RECONSTRUCTED, SEEDS, published_score, released_curves, training_steps
 from earl_jax.report.runs import Curves, by_method, options_text, read
 from earl_jax.report.scores import LEVELS, interval_of, seed_scores
 from earl_jax.report.tables import Row, csv_text, markdown_table, millions, number_text
@@ -104,7 +98,7 @@ def published_rows() -> list[Row]:
 def _paper_row(env: str, algo: str) -> Row:
     score, rewards = published_score("table1", env, algo), published_score("table2", env, algo)
     assert score is not None
-    length, crossings = (published_steps(env) or (0, 0))[0], {}
+    length, crossings = training_steps(env), {}
     deployed = Estimate(score.value, *(score.interval or (math.nan, math.nan)))
     if released := released_curves(env, algo):
         deployed = interval_of(released, seed_scores(released.until(length)))

@@ -25,9 +25,9 @@ from earl_jax.envs.tabletop import FREE
 from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.statistics import relative_drop
-from earl_jax.paper.artefact import training_steps
 from earl_jax.physics import PhysicsState
 from earl_jax.report.leaderboard import commit_of
+from earl_jax.report.published import training_steps
 from earl_jax.report.runs import read
 from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table
 from earl_jax.runs.folder import RunFolder

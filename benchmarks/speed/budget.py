@@ -15,7 +15,8 @@ import tyro
 
 from benchmarks.output import RESULTS, read_csv, save_rows
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.paper.artefact import methods_on, training_steps
+from earl_jax.paper.artefact import methods_on
+from earl_jax.report.published import training_steps
 from earl_jax.report.tables import Row, markdown_table
 
 

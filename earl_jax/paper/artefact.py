@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from earl_jax.envs import PAPER_TASKS, make
-from earl_jax.errors import InputError
+from earl_jax.envs import make
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report import style
-from earl_jax.report.published import published_steps
+from earl_jax.report.published import training_steps
 from earl_jax.report.tables import Row, error_text, write
 from earl_jax.runs.files import written
 
@@ -74,14 +73,6 @@ class Artefact:
     def write(self, folders: Sequence[Path], out: Path) -> list[Path]:
         """Write the report on run `folders` into `out` and return its files: csv, md, png. Raises as `report`."""
         return self.report(folders).write(self.name, out)
-
-
-def training_steps(env: str) -> int:
-    """Return the steps that the paper trained for on one of `PAPER_TASKS`, the least where its runs differ."""
-    steps = published_steps(env)
-    if steps is None:
-        raise InputError(f"no number of steps is published for {env!r}; choose from {', '.join(PAPER_TASKS)}")
-    return steps[0]
 
 
 def methods_on(env: str, methods: tuple[str, ...] = METHODS) -> tuple[str, ...]:

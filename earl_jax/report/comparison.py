@@ -30,9 +30,9 @@ from earl_jax.report.published import (
     RECONSTRUCTED,
     TEST_RULE,
     published_score,
-    published_steps,
     released_beside,
     share_text,
+    training_steps,
 )
 from earl_jax.report.runs import Curves, common_step
 from earl_jax.report.scores import interval_of, over_same_steps, seed_scores
@@ -158,10 +158,10 @@ def _released_rows(curves: Curves, metric: str | None) -> list[Row]:
 def _printed_rows(curves: Curves) -> list[Row]:
     """Return the comparison of a run of the published length with the printed score; of another, a row without a test."""
     score = published_score("table1", curves.env, curves.algo) if curves.comparable else None
-    sample, length = score and score.sample, (published_steps(curves.env) or (0, 0))[0]
+    sample = score and score.sample
     if not score or not sample:
         return []
-    step = curves.length
+    step, length = curves.length, training_steps(curves.env)
     row = _row(curves, step, seed_scores(curves), f"published {score.text}", sample)
     if curves.env in RECONSTRUCTED:
         row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}

@@ -19,6 +19,7 @@ from earl_jax.report.published import (
     published_steps,
     released_beside,
     share_text,
+    training_steps,
 )
 from earl_jax.report.runs import Curves, common_step, options_text
 from earl_jax.report.scores import interval_of, over_same_steps, seed_scores
@@ -91,7 +92,7 @@ def _test(number: int, curves: Curves, score: PublishedScore | None) -> Row:
     released = released_beside(curves)
     if released is None:
         step, other = curves.length, score and score.sample
-        if not other or step < (published_steps(curves.env) or (0, 0))[0]:
+        if not other or step < training_steps(curves.env):
             return {}
     else:
         step = common_step(curves, released)

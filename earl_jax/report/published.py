@@ -164,6 +164,14 @@ def published_steps(env: str) -> tuple[int, int] | None:
     return (int(row["low"]), int(row["high"])) if row else None
 
 
+def training_steps(env: str) -> int:
+    """Return the steps that the paper trained for on one of `PAPER_TASKS`, the least where its runs differ."""
+    steps = published_steps(env)
+    if steps is None:
+        raise InputError(f"no number of steps is published for {env!r}; choose from {', '.join(PAPER_TASKS)}")
+    return steps[0]
+
+
 def share_text(steps: int, published: int) -> str:
     """Return the share that `steps` have of more `published` ones, such as `12 %`; at most 99 %."""
     return f"{min(100 * steps / published, 99):.2g} %"

@@ -8,7 +8,8 @@ from unittest.mock import Mock
 import pytest
 
 from earl_jax import assets
-from earl_jax.paper import artefact, figure2, reproduce, tradeoff
+from earl_jax.paper import figure2, reproduce, tradeoff
+from earl_jax.report import published
 from earl_jax.runs.config import RunConfig
 from earl_jax.sweeps import grid, launcher, processes, worker
 from earl_jax.sweeps.launcher import Outcome
@@ -110,7 +111,7 @@ def test_the_short_scale_is_a_tenth_of_the_paper(tmp_path):
     assert {(run.schedule.steps, len(run.seeds)) for run in runs} == {(250_000, 3)}
     assert all(run.options == options for run in runs)
     with pytest.raises(ValueError, match="'cheetah_run'; choose from tabletop_organization"):
-        artefact.training_steps("cheetah_run")
+        published.training_steps("cheetah_run")
 
 
 def test_runs_that_are_shorter_than_the_time_between_evaluations_keep_their_length(tmp_path):
