@@ -11,7 +11,7 @@ from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS
 from earl_jax.metrics.comparison import CANNOT_TELL, Sample
 from earl_jax.paper.artefact import METHODS, Row, methods_on
-from earl_jax.report.comparison import UNTESTED, compared_texts, comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.comparison import compared_texts, comparison_columns, untested, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import table_scores
 from earl_jax.report.published import is_comparable, published_score, released_curves
 from earl_jax.report.runs import Curves, common_step
@@ -95,7 +95,7 @@ def claim_rows(number: int, runs: Sequence[Curves] | None = None) -> list[Row]:
             tested = _test(claim, [released_curves(*name) for name in names]) or _printed(claim)
         else:
             tested = _test(claim, [first.get(name) for name in names])
-        rows.append({**claim._asdict(), "steps": None, **UNTESTED, "verdict": NOT_RUN, **tested})
+        rows.append({**claim._asdict(), "steps": None, **untested(NOT_RUN), **tested})
     return with_verdicts(rows, family=("text", "env"))
 
 

@@ -19,7 +19,7 @@ from earl_jax.metrics.scores import final_scores
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import Artefact, Block, Options, Report, Row
 from earl_jax.report import style
-from earl_jax.report.comparison import UNTESTED, compared_texts, comparison_columns, with_verdicts
+from earl_jax.report.comparison import compared_texts, comparison_columns, untested, with_verdicts
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves, common_step
 from earl_jax.report.scores import over_same_steps
@@ -191,7 +191,7 @@ def _test(first: Point, second: Point) -> Row:
     """Return the columns of Welch's test of two points over the same steps; three seeds have no significant permutation."""
     step = common_step(first.run, second.run)
     if not step:
-        return {**UNTESTED, "verdict": MISSING}
+        return untested(MISSING)
     runs = over_same_steps((first.run, second.run), step)
     own, other = (point._replace(run=run).scores for point, run in zip((first, second), runs, strict=True))
     return comparison_columns(Sample.of(own), Sample.of(other))

@@ -18,7 +18,7 @@ from earl_jax.metrics import visitation
 from earl_jax.metrics.comparison import LEVEL, Sample
 from earl_jax.paper.artefact import Artefact, Report, Row, column, mean_text, runs_of
 from earl_jax.report import style
-from earl_jax.report.comparison import UNTESTED, compared_texts, comparison_columns, verdict_text, with_verdicts
+from earl_jax.report.comparison import compared_texts, comparison_columns, untested, verdict_text, with_verdicts
 from earl_jax.report.tables import markdown_table
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import load_visits
@@ -140,8 +140,7 @@ def verdicts(rows: Sequence[Row]) -> list[Row]:
             fbrl, oracle = (column(seeds[env, algo], measure) for algo in METHODS)
             row = {"env": env, "measure": measure, "fbrl": fbrl.mean(), "oracle": oracle.mean()}
             ends = {column(seeds[env, algo], "steps").max() for algo in METHODS}  # a seed with faults has fewer visits
-            unequal = {**UNTESTED, "verdict": UNEQUAL}
-            tested = comparison_columns(Sample.of(fbrl), Sample.of(oracle)) if len(ends) == 1 else unequal
+            tested = comparison_columns(Sample.of(fbrl), Sample.of(oracle)) if len(ends) == 1 else untested(UNEQUAL)
             results.append({**row, **tested})
     return with_verdicts(results, family=("env",))
 

@@ -51,7 +51,6 @@ from earl_jax.report.tables import (
 )  # fmt: skip
 from earl_jax.runs.files import RunWarning, require_suffix
 
-UNTESTED = dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan)
 OTHER_TASK = "not compared: the task is our reconstruction"
 FILES = (*TABLES, *PICTURES)
 """The suffixes of files that `write_comparison` writes."""
@@ -164,9 +163,9 @@ def _printed_rows(curves: Curves) -> list[Row]:
     step, length = curves.length, training_steps(curves.env)
     row = _row(curves, step, seed_scores(curves), f"published {score.text}", sample)
     if curves.env in RECONSTRUCTED:
-        row |= UNTESTED | {"second": "published", "other_mean": math.nan, "verdict": OTHER_TASK}
+        row |= untested(OTHER_TASK) | {"second": "published", "other_mean": math.nan}
     elif step < length:
-        row |= UNTESTED | {"verdict": f"not compared at {share_text(step, length)} of the published steps"}
+        row |= untested(f"not compared at {share_text(step, length)} of the published steps")
     return [row]
 
 
@@ -192,13 +191,16 @@ def comparison_columns(own: np.ndarray | Sample, other: np.ndarray | Sample, pre
         "seeds": first.seeds,
         "other_seeds": second.seeds,
         "other_mean": second.mean,
-        "difference": result.difference,
-        f"{prefix}low": result.low,
-        f"{prefix}high": result.high,
+        **Estimate(result.difference, result.low, result.high).columns("difference", prefix),
         "p": result.p,
         "verdict": "",
         "detectable": detectable_difference(first, second),
     }
+
+
+def untested(verdict: str) -> Row:
+    """Return the columns of a test that was not made, with its cause as the `verdict`."""
+    return dict.fromkeys(("difference", "low", "high", "p", "detectable"), math.nan) | {"verdict": verdict}
 
 
 def verdict_text(row: Row, number: Callable[[float], str] = number_text, words: Mapping[str, str] | None = None) -> str:
