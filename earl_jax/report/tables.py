@@ -171,13 +171,12 @@ def write(rows: Sequence[Row], path: Path, table: Callable[[Sequence[Row]], Tabl
     Raises:
         ValueError: `path` has another suffix.
     """
-    texts = {
-        ".md": lambda: f"{table(rows).text()}\n",
-        ".tex": lambda: f"{table(rows).latex()}\n",
-        ".csv": lambda: csv_text(rows),
-    }
     require_suffix(path, TABLES, "tables")
-    written(path, texts[path.suffix]())
+    if path.suffix == ".csv":
+        written(path, csv_text(rows))
+    else:
+        text = Table.text if path.suffix == ".md" else Table.latex
+        written(path, f"{text(table(rows))}\n")
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
