@@ -132,7 +132,8 @@ def _draw_cell(axis: Any, curves: Curves | None) -> None:
         elif printed := published_beside("table1", curves):
             axis.plot(training_steps(curves.env), printed.value, **PRINTED, clip_on=False)
         draw_curves(axis, curves, metric, SMOOTH, OURS, each=True)
-    step_axis(axis, label=False)
+    step_axis(axis)
+    axis.set_xlabel("")
     axis.grid(alpha=0.3)
 
 

@@ -136,14 +136,13 @@ def shaded(colour: str, shade: int, count: int) -> str:
     return mixed(colour, "#000000" if position < 0 else "#FFFFFF", 0.55 * abs(position))
 
 
-def step_axis(axis: Any, label: bool = True) -> None:
+def step_axis(axis: Any) -> None:
     """Format the x axis of `axis`, whose limits are set, as steps in thousands or millions, with few numbers."""
     last = axis.get_xlim()[1]
     unit, name = next(((unit, name) for unit, name in UNITS if last >= unit / 5), (1, "Steps"))
     axis.xaxis.set_major_formatter(lambda step, _: f"{step / unit:g}")
     axis.locator_params(axis="x", nbins=5)
-    if label:
-        axis.set_xlabel(name)
+    axis.set_xlabel(name)
 
 
 def task_title(env: str) -> str:
