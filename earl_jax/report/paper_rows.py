@@ -36,8 +36,8 @@ DESCRIPTIONS = {
     2: "Task reward per step, averaged over all steps of the lifetime (`continuing/reward` at the end).",
 }
 CONTINUING = "continuing/reward"
-MEASURED = ("metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high")
-"""The columns of our scores, which are None without a run."""
+MEASURED = ("options", "chosen", "metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high")
+"""The columns of our run, which are None without one."""
 TESTED = (
     "tested_steps", "tested_mean", "other_mean", "other_seeds", "difference", "difference_low", "difference_high", "detectable",
     "p", "p_holm",
@@ -67,7 +67,7 @@ def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
         "env": env,
         "algo": algo,
         "label": algo,
-        **dict.fromkeys(("options", "chosen", *MEASURED)),
+        **dict.fromkeys(MEASURED),
         "published_mean": score.mean if score else "-",
         "published_stderr": score.stderr if score else "-",
         "published_low": low,
@@ -78,12 +78,12 @@ def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
         "verdict": "-",
     }
     if curves:
-        row |= {"label": curves.label, "options": options_text(curves.options), "chosen": chosen_words(curves)}
-        metric, step = curves.deployed_metric if number == 1 else CONTINUING, curves.length
-        scores = table_scores(number, curves)
-        mean, low, high = interval_of(curves, scores, metric)
-        values = (metric, len(scores), curves.diverged, step, mean, float(stderr(scores)), low, high)
-        row |= dict(zip(MEASURED, values, strict=True)) | _test(number, curves, score)
+        metric, scores = curves.deployed_metric if number == 1 else CONTINUING, table_scores(number, curves)
+        row |= {
+            "label": curves.label, "options": options_text(curves.options), "chosen": chosen_words(curves), "metric": metric,
+            "seeds": len(scores), "diverged": curves.diverged, "steps": curves.length, "stderr": float(stderr(scores)),
+            **interval_of(curves, scores, metric).columns("mean"), **_test(number, curves, score),
+        }  # fmt: skip
     return row
 
 
