@@ -13,19 +13,11 @@ from earl_jax.metrics.scores import SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, mean_text, runs_of
 from earl_jax.report import style
-from earl_jax.report.paper_rows import CONTINUING, table_scores
+from earl_jax.report.paper_rows import CONTINUING, columns_of_test
 from earl_jax.report.pooling import read_methods
-from earl_jax.report.published import published_beside, released_beside
-from earl_jax.report.runs import Curves, common_step, options_text
-from earl_jax.report.scores import (
-    LEVELS,
-    crossings_beside,
-    interval_of,
-    level_crossings,
-    over_same_steps,
-    seed_scores,
-    trailing,
-)
+from earl_jax.report.published import published_beside
+from earl_jax.report.runs import Curves, options_text
+from earl_jax.report.scores import LEVELS, crossings_beside, interval_of, level_crossings, seed_scores, trailing
 from earl_jax.report.tables import markdown_table, millions, step_interval
 
 SMOOTH = " (trailing 10)"
@@ -79,12 +71,8 @@ def _line(curves: Curves) -> list[str]:
 
 def _released_text(number: int, curves: Curves, digits: str) -> str:
     """Return the mean score of the released runs over the steps of `curves`, as tested in table `number`; `-` without any."""
-    released = released_beside(curves)
-    step = common_step(curves, released) if released else None
-    if not released or not step or (number == 2 and CONTINUING not in released.metrics):
-        return "-"
-    _, released = over_same_steps((curves, released), step)
-    return format(table_scores(number, released).mean(), digits)
+    test = columns_of_test(number, curves)
+    return format(test["other_mean"], digits) if test else "-"
 
 
 def _draw(runs: Sequence[Curves]) -> Any:

@@ -82,12 +82,12 @@ def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
         row |= {
             "label": curves.label, "options": options_text(curves.options), "chosen": chosen_words(curves), "metric": metric,
             "seeds": len(scores), "diverged": curves.diverged, "steps": curves.length, "stderr": float(stderr(scores)),
-            **interval_of(curves, scores, metric).columns("mean"), **_test(number, curves, score),
+            **interval_of(curves, scores, metric).columns("mean"), **columns_of_test(number, curves, score),
         }  # fmt: skip
     return row
 
 
-def _test(number: int, curves: Curves, score: PublishedScore | None) -> Row:
+def columns_of_test(number: int, curves: Curves, score: PublishedScore | None = None) -> Row:
     """Return the columns of the test against the released runs, or else against the printed `score` at its length; {} without."""
     released = released_beside(curves)
     if released is None:
