@@ -51,7 +51,7 @@ def trains(arguments: Sequence[str]) -> bool:
 def _try_flags() -> None:
     """Raise an InputError with XLA's reason if it ends another process for the flags of this one."""
     try:
-        trial = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True, check=False)
+        trial = subprocess.run([sys.executable, "-P", "-c", TRIAL], capture_output=True, text=True, check=False)
     except OSError:
         return  # this process may start no other one
     if trial.returncode:

@@ -180,7 +180,7 @@ def working_backend() -> str:
     """
     for backend in BACKENDS:
         environment = {**os.environ, "MUJOCO_GL": backend}
-        if not subprocess.run([sys.executable, "-c", PROBE], env=environment, capture_output=True).returncode:
+        if not subprocess.run([sys.executable, "-P", "-c", PROBE], env=environment, capture_output=True).returncode:
             return backend
     if any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         return "glfw"

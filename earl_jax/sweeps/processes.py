@@ -14,7 +14,8 @@ from typing import Any
 
 from earl_jax.sweeps.slots import Slot
 
-WORKER = [sys.executable, "-m", "earl_jax.sweeps"]
+WORKER = [sys.executable, "-P", "-m", "earl_jax.sweeps"]
+"""The command of a worker. With -P, a json.py of the user in the current folder does not replace Python's own."""
 ENDS = ("done", "failed", "stopped")
 """States in which a worker leaves a run; it is stopped by the time limit."""
 PATIENCE = 10
@@ -27,6 +28,11 @@ EVENTS = ({"run", "state", "detail"}, {"state", "plan"}, {"state", "detail"})
 """The keys of the events of a run, of a grid that is planned, and of one that is refused."""
 
 
+def module_path() -> str:
+    """Return the PYTHONPATH with which a worker finds modules where this process does."""
+    return os.pathsep.join(sys.path)
+
+
 def start(task: Task, slot: Slot) -> subprocess.Popen[str]:
     """Return a worker at `slot` that has received `task`. It ends when this process ends, for whatever reason.
 
@@ -34,7 +40,7 @@ def start(task: Task, slot: Slot) -> subprocess.Popen[str]:
     """
     worker = subprocess.Popen(
         WORKER,
-        env=slot.environment(os.environ),
+        env=slot.environment(os.environ) | {"PYTHONPATH": module_path()},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from earl_jax.errors import InputError
 from earl_jax.options.values import counted
-from earl_jax.sweeps.processes import WORKER, Task
+from earl_jax.sweeps.processes import WORKER, Task, module_path
 
 LOGS = "slurm"
 """Name of the folder, in that of the sweep, for the tasks and the logs of arrays."""
@@ -93,7 +93,7 @@ def _script(tasks: str) -> str:
     return f"""#!/bin/bash
 trap 'echo "the time limit is near"; limit=yes; kill -TERM $worker' USR1
 trap : TERM
-{shlex.join(WORKER)} {shlex.quote(tasks)} $SLURM_ARRAY_TASK_ID &
+PYTHONPATH={shlex.quote(module_path())} {shlex.join(WORKER)} {shlex.quote(tasks)} $SLURM_ARRAY_TASK_ID &
 worker=$!
 until wait $worker; code=$?; ! kill -0 $worker 2>/dev/null; do :; done
 if [ "$limit" ] && [ $code != 0 ] && [ "${{SLURM_RESTART_COUNT:-0}}" -lt {RETRIES} ]; then

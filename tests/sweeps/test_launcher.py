@@ -223,5 +223,11 @@ def test_a_grid_can_come_from_a_file_at_stdin(grid, tmp_path, monkeypatch):
     assert plan["grid"] == str(grid.resolve())
 
 
+def test_a_file_in_the_current_folder_replaces_no_module_of_a_worker(grid, tmp_path, monkeypatch):
+    (tmp_path / "json.py").write_text("raise RuntimeError")
+    monkeypatch.chdir(tmp_path)
+    assert len(launcher.plan_sweep(grid, tmp_path / "out")["groups"]) == 1
+
+
 def test_a_dry_run_refuses_what_the_sweep_refuses(grid, tmp_path):
     one_line(run("sweep", grid, "--out", tmp_path / "out", "--dry-run", "--per-device", "0"), "must be auto")

@@ -151,7 +151,7 @@ class Workers:
             return self._thread(self._work_here, job)
         arguments = os.getpid(), self.descriptor, self.shared.width, index, self.count, job
         process = subprocess.Popen(
-            [sys.executable, "-c", f"from {__name__} import main; main()", *map(str, arguments)],
+            [sys.executable, "-P", "-c", f"from {__name__} import main; main()", *map(str, arguments)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=[self.descriptor], start_new_session=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "JAX_PLATFORMS": "cpu"},
         )  # fmt: skip
