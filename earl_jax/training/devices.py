@@ -14,7 +14,7 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from earl_jax.algos.learner.replay import Replay
 from earl_jax.errors import InputError
-from earl_jax.options.values import COUNT, require
+from earl_jax.options.values import COUNT, counted, require
 from earl_jax.training.state import TrainState
 
 LANES: Any = PartitionSpec("lanes")
@@ -55,8 +55,8 @@ def lane_mesh(devices: int | None, lanes: int) -> Mesh | None:
     if lanes % count:
         lane_choices = sorted({max(count, lanes // count * count), (lanes // count + 1) * count})
         raise InputError(
-            f"{lanes} lanes don't divide over {count} devices: take {' or '.join(map(str, lane_choices))} lanes, "
-            f"or one of {', '.join(str(number) for number in range(1, count) if lanes % number == 0)} devices"
+            f"{counted(lanes, 'lane')} can't be divided over {count} devices: take {' or '.join(map(str, lane_choices))} lanes, "
+            f"or {' or '.join(str(number) for number in range(1, count) if lanes % number == 0)} of the devices"
         )
     chosen, hosts = available[:count], jax.process_count()
     if len({device.process_index for device in chosen}) < hosts:

@@ -62,6 +62,18 @@ def test_of_two_controllers_the_acting_one_is_asked(env):
     assert ends == [False, True]
 
 
+def test_the_probability_of_success_is_averaged_over_actions(env):
+    def spread(samples):
+        method = make_algo("risc", hidden_sizes=[16], value_samples=samples, reward_scale=1.0)
+        agent = method.learner.init(KEYS[0], 12, 3, method.entropy_free_pairs)
+        params = agent.critics["params"]
+        output = {**params["hidden_1"], "bias": params["hidden_1"]["bias"] + 0.5}
+        agent = agent.replace(critics={"params": {**params, "hidden_1": output}})
+        return float(jax.jit(jax.vmap(lambda key: method.success_chance(key, agent, OBS)))(KEYS).std())
+
+    assert spread(4) / spread(1) == pytest.approx(0.5, abs=0.05)
+
+
 def test_a_phase_that_the_method_ends_is_stored_as_a_time_out(problem):
     class Impatient(FBRL):
         """Leaves every phase after five steps."""
