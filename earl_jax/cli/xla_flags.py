@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from earl_jax.errors import InputError
+from earl_jax.options.environment import PYTHON
 from earl_jax.sweeps.slots import cuda_plugin
 
 VARIABLE = "XLA_FLAGS"
@@ -51,7 +52,7 @@ def trains(arguments: Sequence[str]) -> bool:
 def _try_flags() -> None:
     """Raise an InputError with XLA's reason if it ends another process for the flags of this one."""
     try:
-        trial = subprocess.run([sys.executable, "-P", "-c", TRIAL], capture_output=True, text=True, check=False)
+        trial = subprocess.run([*PYTHON, "-c", TRIAL], capture_output=True, text=True, check=False)
     except OSError:
         return  # this process may start no other one
     if trial.returncode:

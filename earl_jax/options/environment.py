@@ -1,12 +1,15 @@
-"""What a process may use of its machine: cores, a share of a device's memory, and jax, which is not imported before."""
+"""What a process may use of its machine: cores, a share of a device's memory, jax (not imported before), other processes."""
 
 import os
+import sys
 from pathlib import Path
 
 FRACTION = "XLA_PYTHON_CLIENT_MEM_FRACTION"
 """Variable of jax: the part of a GPU's memory that this process may take."""
 PER_DEVICE = "EARL_JAX_PER_DEVICE"
 """Variable of a sweep's worker: the number of programs that share its GPU, or the memory of a machine without one."""
+PYTHON = (sys.executable, "-P")
+"""The command of another Python process. With -P, a json.py of the user in the current folder does not replace Python's own."""
 CPU_LIMIT = Path("/sys/fs/cgroup/cpu.max")
 """The microseconds of cores that a container may use in a period, and those of the period; `max` without a limit."""
 
@@ -25,6 +28,11 @@ def core_count() -> int:
     except (OSError, ValueError):
         return len(own_cores())
     return max(1, min(len(own_cores()), quota // period))
+
+
+def module_path() -> str:
+    """Return the PYTHONPATH with which another process finds modules where this one does."""
+    return os.pathsep.join(sys.path)
 
 
 def start_failure(error: Exception) -> str | None:

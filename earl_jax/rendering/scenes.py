@@ -13,6 +13,7 @@ import numpy as np
 
 from earl_jax.envs import Env, State, View
 from earl_jax.errors import InputError, brief, require_known
+from earl_jax.options.environment import PYTHON
 from earl_jax.options.values import COUNT, require
 from earl_jax.rendering.overlays import with_overlay
 
@@ -180,7 +181,7 @@ def working_backend() -> str:
     """
     for backend in BACKENDS:
         environment = {**os.environ, "MUJOCO_GL": backend}
-        if not subprocess.run([sys.executable, "-P", "-c", PROBE], env=environment, capture_output=True).returncode:
+        if not subprocess.run([*PYTHON, "-c", PROBE], env=environment, capture_output=True).returncode:
             return backend
     if any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         return "glfw"

@@ -12,10 +12,10 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from earl_jax.options.environment import PYTHON, module_path
 from earl_jax.sweeps.slots import Slot
 
-WORKER = [sys.executable, "-P", "-m", "earl_jax.sweeps"]
-"""The command of a worker. With -P, a json.py of the user in the current folder does not replace Python's own."""
+WORKER = [*PYTHON, "-m", "earl_jax.sweeps"]
 ENDS = ("done", "failed", "stopped")
 """States in which a worker leaves a run; it is stopped by the time limit."""
 PATIENCE = 10
@@ -26,11 +26,6 @@ Event = dict[str, Any]
 """What a worker prints: the `state` of a `run` with a `detail`, the step or why it failed; or the `plan` of a grid."""
 EVENTS = ({"run", "state", "detail"}, {"state", "plan"}, {"state", "detail"})
 """The keys of the events of a run, of a grid that is planned, and of one that is refused."""
-
-
-def module_path() -> str:
-    """Return the PYTHONPATH with which a worker finds modules where this process does."""
-    return os.pathsep.join(sys.path)
 
 
 def start(task: Task, slot: Slot) -> subprocess.Popen[str]:

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from earl_jax.errors import InputError
+from earl_jax.options.environment import module_path
 from earl_jax.options.values import counted
-from earl_jax.sweeps.processes import WORKER, Task, module_path
+from earl_jax.sweeps.processes import WORKER, Task
 
 LOGS = "slurm"
 """Name of the folder, in that of the sweep, for the tasks and the logs of arrays."""

@@ -2,7 +2,6 @@
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from earl_jax.assets import Demos, checked_demos
 from earl_jax.errors import InputError, printable
 from earl_jax.npz import MAX_BYTES, load_npz, read_bytes
+from earl_jax.options.environment import PYTHON
 
 UNPICKLE = Path(__file__).with_name("unpickle.py")
 LONGEST = 180
@@ -38,7 +38,7 @@ def read(path: Path) -> Demos:
 
 def _unpickled(data: bytes) -> bytes:
     """Return the npz of the arrays in a pickle, made by the program `unpickle` in a process with limits."""
-    command = [sys.executable, "-P", "-W", "ignore", str(UNPICKLE), *FIELDS]
+    command = [*PYTHON, "-W", "ignore", str(UNPICKLE), *FIELDS]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # each thread of NumPy would take memory below the limit
     try:
         done = subprocess.run(command, input=data, capture_output=True, timeout=LONGEST, env=environment)

@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from earl_jax.options.environment import PYTHON, module_path
+
 Serve = Callable[[np.ndarray], np.ndarray]
 """Host work: a function from float32 rows [n, k] to float32 rows [n, m]."""
 DEPTH = 4
@@ -151,9 +153,9 @@ class Workers:
             return self._thread(self._work_here, job)
         arguments = os.getpid(), self.descriptor, self.shared.width, index, self.count, job
         process = subprocess.Popen(
-            [sys.executable, "-P", "-c", f"from {__name__} import main; main()", *map(str, arguments)],
+            [*PYTHON, "-c", f"from {__name__} import main; main()", *map(str, arguments)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=[self.descriptor], start_new_session=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "JAX_PLATFORMS": "cpu"},
+            env={**os.environ, "PYTHONPATH": module_path(), "JAX_PLATFORMS": "cpu"},
         )  # fmt: skip
         self._thread(self._watch, process)
 
