@@ -141,22 +141,17 @@ def scores_text(rows: list[Row]) -> str:
     """
     parts = []
     for env, of_task in ranked(rows).items():
-        header, *lines = _filled([_shown(cells) for cells in (list(COLUMNS.values()), *map(texts, of_task))])
-
-        seeds = {row["seeds"] for row in of_task}
-        each = f" of {seeds.pop()} seeds" if len(seeds) == 1 else ""
-        summary = f"<details markdown><summary>{len(lines)} rows{each}</summary>"
+        shown = [_shown(cells) for cells in (list(COLUMNS.values()), *map(texts, of_task))]
+        above, columns = "", []
+        for name, *cells in zip(*shown, strict=True):
+            if name == "seeds" and len(set(cells)) == 1:
+                above = f" of {cells[0]} seeds"
+            elif set(cells) != {"-"}:
+                columns.append([name, *cells])
+        header, *lines = zip(*columns, strict=True)
+        summary = f"<details markdown><summary>{len(lines)} rows{above}</summary>"
         parts.append(f"### {env}\n\n{summary}\n\n{markdown_table(header, lines)}\n\n</details>")
     return "\n\n".join(parts)
-
-
-def _filled(lines: list[list[str]]) -> list[list[str]]:
-    """Return the lines of a table, the header first, without empty columns and without one number of seeds for all."""
-    columns = [(column[0], set(column[1:]), column) for column in zip(*lines, strict=True)]
-    kept = [
-        column for name, values, column in columns if values != {"-"} and not (name == "seeds" and len(values) == 1)
-    ]
-    return [list(line) for line in zip(*kept, strict=True)]
 
 
 def _shown(cells: Sequence[str]) -> list[str]:

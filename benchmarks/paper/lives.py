@@ -58,7 +58,7 @@ def beside_reset(curves: Curves, end: int) -> np.ndarray:
     return means[:, ends % RESETS == end].mean(axis=1)
 
 
-def after_reset(curves: Curves) -> np.ndarray:
+def after_reset_or_all(curves: Curves) -> np.ndarray:
     """Return `beside_reset` [N] of our runs, and of the released ones the reward per step of all: these may have more resets."""
     return beside_reset(curves, LONG) if curves.runs else reward(curves)
 
@@ -95,7 +95,7 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     (KITCHEN_FBRL, "correlation of successive intervals of 20,000 steps", memory),
     (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
     *(
-        (run, "reward per step of the 20,000 after a reset, the paper's of all steps", after_reset)
+        (run, "reward per step of the 20,000 after a reset, the paper's of all steps", after_reset_or_all)
         for run in (KITCHEN_R3L, "franka_kitchen/r3l/released")
     ),
     *(
