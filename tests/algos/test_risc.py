@@ -23,9 +23,12 @@ def moment(phase_step):
     return Moment(jnp.asarray(phase_step), jnp.asarray(TASK), phase_step, KEYS[0])
 
 
-def with_value(agent, value):
-    """Return `agent` with further critics that are `value` everywhere, before the division by the reward scale."""
-    critics = jax.tree.map(lambda leaf: leaf.at[SOFT_CRITICS:].set(0.0), agent.critics["params"])
+def with_value(agent, value, weights=0.0):
+    """Return `agent` with further critics that are `value` everywhere, or vary around it with a share `weights` of theirs.
+
+    This is before the division by the reward scale.
+    """
+    critics = jax.tree.map(lambda leaf: leaf.at[SOFT_CRITICS:].multiply(weights), agent.critics["params"])
     bias = critics["hidden_1"]["bias"].at[SOFT_CRITICS:].set(value)
     return agent.replace(critics={"params": {**critics, "hidden_1": {**critics["hidden_1"], "bias": bias}}})
 
@@ -51,24 +54,14 @@ def test_of_two_controllers_the_acting_one_is_asked(env):
     method = make_algo("risc", hidden_sizes=[16], controllers=2, conservative_factor=0.0)
     agent = jax.jit(lambda key: method.learner.init(key, 12, 3, method.entropy_free_pairs))(KEYS[0])
     agents = jax.tree.map(lambda *leaves: jnp.stack(leaves), with_value(agent, 0.0), with_value(agent, 10.0))
-    ends = [
-        bool(
-            method.ends_phase(
-                KEYS[0], env, agents, OBS, moment(jnp.asarray(150))._replace(phase=jnp.asarray(phase)), ()
-            )
-        )
-        for phase in (TASK, RETURN)
-    ]
-    assert ends == [False, True]
+    moments = [moment(jnp.asarray(150))._replace(phase=jnp.asarray(phase)) for phase in (TASK, RETURN)]
+    assert [bool(method.ends_phase(KEYS[0], env, agents, OBS, at, ())) for at in moments] == [False, True]
 
 
 def test_the_probability_of_success_is_averaged_over_actions(env):
     def spread(samples):
         method = make_algo("risc", hidden_sizes=[16], value_samples=samples, reward_scale=1.0)
-        agent = method.learner.init(KEYS[0], 12, 3, method.entropy_free_pairs)
-        params = agent.critics["params"]
-        output = {**params["hidden_1"], "bias": params["hidden_1"]["bias"] + 0.5}
-        agent = agent.replace(critics={"params": {**params, "hidden_1": output}})
+        agent = with_value(method.learner.init(KEYS[0], 12, 3, method.entropy_free_pairs), 0.5, weights=1.0)
         return float(jax.jit(jax.vmap(lambda key: method.success_chance(key, agent, OBS)))(KEYS).std())
 
     assert spread(4) / spread(1) == pytest.approx(0.5, abs=0.05)
