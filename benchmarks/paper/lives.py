@@ -89,11 +89,13 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ),
     *(
         (f"franka_kitchen/{algo}", "reward per step up to 0.3M steps", functools.partial(reward, end=EARLY))
-        for algo in ("naive", "fbrl", "fbrl/released", "naive/released", "r3l/released")
+        for algo in ("naive", "fbrl", "fbrl/released", "naive/released", "r3l/released", "r3l/released_resets")
     ),
     ("franka_kitchen/fbrl/random_10000", *AFTER_RESET),  # it ends at 0.3M
-    (KITCHEN_FBRL, "correlation of successive intervals of 20,000 steps", memory),
-    (KITCHEN_R3L, "correlation of successive intervals of 20,000 steps", memory),
+    *(
+        (run, "correlation of successive intervals of 20,000 steps", memory)
+        for run in (KITCHEN_FBRL, KITCHEN_R3L, "franka_kitchen/r3l/released_resets")
+    ),
     *(
         (run, "reward per step of the 20,000 after a reset, the paper's of all steps", after_reset_or_all)
         for run in (KITCHEN_R3L, "franka_kitchen/r3l/released")
@@ -117,6 +119,7 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("tabletop_organization/r3l/object_novelty", "reward per step", reward),
     ("tabletop_organization/r3l/perturbation_demos", "reward per step", reward),
     ("tabletop_organization/r3l/timeout_bootstrap", "reward per step", reward),
+    ("franka_kitchen/r3l/released_resets", "reward per step", reward),
 )
 STYLES = {"share": ".2f", "correlation": ".2f", "reward": ".3g"}
 """The format of a measure's numbers by its first word."""

@@ -269,4 +269,13 @@ DIFFERENCES = (
     Difference("31", "R3L in the kitchen with the settings of 28 that it has, fresh seeds", (
         _variants(f"{KITCHEN}/r3l", "released", base=BESIDE_VARIANTS["r3l"])
     )),
+    Difference("32", "R3L on tabletop with the paper's reward scale of 1, fresh seeds; also with its entropy and time-outs", (
+        _variants(f"{TABLETOP}/r3l", "reward_scale_1", "entropy_per_action_-1-reward_scale_1-timeout_bootstrap")
+    )),
+    Difference("33", "R3L on the door with the paper's reward scale of 1, fresh seeds", (
+        _variants(f"{DOOR}/r3l", "reward_scale_1")
+    )),
+    Difference("34", "R3L in the kitchen as in 31, with a reset every 20,000 steps, fresh seeds", (
+        _variants(f"{KITCHEN}/r3l", "released_resets", base=f"{KITCHEN}/r3l/released")
+    )),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""FBRL in the kitchen with the settings of VaPRL's released script, for differences 28, 30 and 31.
+"""FBRL in the kitchen with the settings of VaPRL's released script, for differences 28, 30, 31 and 34.
 
 earl-jax train mean_return_kitchen --algo released_fbrl --import benchmarks/paper/released_fbrl.py \
     --set controllers=1 random_steps=10000
