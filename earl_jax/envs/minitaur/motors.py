@@ -38,16 +38,6 @@ LEAD, FULL, REPORTED = ((np.array(-limit), np.array(limit)) for limit in (MAX_LE
 ZERO = np.array(0.0)
 
 
-def legs_to_motors(xp: Any, action: Any) -> Any:
-    """Return the motors' angles [..., 8] for an `action [..., 8]` in leg space: 4 swings, 4 extensions, in [-1, 1].
-
-    Source: the released leg model. An extension of 1 folds a leg, -1 stretches it.
-    """
-    swing, extension = xp.repeat(action[..., :4], 2, axis=-1), xp.repeat(action[..., 4:], 2, axis=-1)
-    sign = np.array([1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-    return np.pi - np.pi / 4 * (extension + 1.5) + sign * np.pi / 4 * swing
-
-
 def torque(xp: Any, error: Any, speed: Any, voltage: Any, viscosity: Any) -> tuple[Any, Any]:
     """Return the torques [N m] that motors exert and the torques that they report.
 

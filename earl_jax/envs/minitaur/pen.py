@@ -13,7 +13,7 @@ import numpy as np
 
 from earl_jax.envs.features import ContinuingDefaults, Map
 from earl_jax.envs.minitaur import body
-from earl_jax.envs.minitaur.motors import DIRECTION, MOTORS, POSITIONS, SPEEDS, MinitaurMotors, legs_to_motors
+from earl_jax.envs.minitaur.motors import DIRECTION, MOTORS, POSITIONS, SPEEDS, MinitaurMotors
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.envs.state import NextState, State
 from earl_jax.physics import EngineCost, PhysicsState, Simulator
@@ -117,7 +117,7 @@ class MinitaurPen(MujocoEnv):
         return self.make_state(data, observed(data), {"goal": self.sample_goal(goal_key)})
 
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
-        return state.data, legs_to_motors(jnp, action)
+        return state.data, legs_to_motors(action)
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
         return data, observed(data), {}
@@ -161,6 +161,16 @@ class MinitaurPen(MujocoEnv):
         far = FAR[self.walls]
         inside = (jnp.abs(x) < far) & (jnp.abs(y) < far) & (z > -0.1) & (z < HIGH)
         return super().fault(state) | ~inside
+
+
+def legs_to_motors(action: jax.Array) -> jax.Array:
+    """Return the motors' angles [..., 8] for an `action [..., 8]` in leg space: 4 swings, 4 extensions, in [-1, 1].
+
+    Source: the released leg model. An extension of 1 folds a leg, -1 stretches it.
+    """
+    swing, extension = jnp.repeat(action[..., :4], 2, axis=-1), jnp.repeat(action[..., 4:], 2, axis=-1)
+    sign = np.array([1, -1, 1, -1, -1, 1, -1, 1], np.float32)
+    return np.pi - np.pi / 4 * (extension + 1.5) + sign * np.pi / 4 * swing
 
 
 def observed(data: PhysicsState) -> jax.Array:
