@@ -11,13 +11,11 @@ from earl_jax import assets
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts
 from earl_jax.envs.sawyer import experts
 from earl_jax.envs.sawyer.base import HAND_HIGH, HAND_LOW, Pose, Sawyer
-from earl_jax.envs.sawyer.experts import HINGE
+from earl_jax.envs.sawyer.experts import HANDLE, HANDLE_ANGLE, HINGE
 from earl_jax.envs.shaping import tolerance
 from earl_jax.envs.state import State, random_row, tree_where
 from earl_jax.physics import EngineCost
 
-HANDLE = np.array([0.375722, -0.10714], np.float32)
-"""The handle's position relative to the hinge, in the door's frame."""
 HEIGHT = np.float32(0.100036)
 OPEN = -np.pi / 3
 NOISE = np.pi / 20
@@ -114,7 +112,7 @@ class SawyerDoor(Sawyer):
     def joints_at(self, position: jax.Array) -> jax.Array:
         """Return the door's angle [1] with its handle at `position [3]`."""
         x, y = position[:2] - HINGE
-        return (jnp.arctan2(y, x) - np.arctan2(HANDLE[1], HANDLE[0]))[None]
+        return (jnp.arctan2(y, x) - HANDLE_ANGLE)[None]
 
     @property
     def map(self) -> Map:

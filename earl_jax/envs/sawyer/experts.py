@@ -13,7 +13,9 @@ STEEP = 1.0
 CLOSE, OPEN = 1.0, -1.0
 
 HINGE = np.array([-0.085, 0.85], np.float32)
-HANDLE_ANGLE = np.arctan2(-0.10714, 0.375722)
+HANDLE = np.array([0.375722, -0.10714])
+"""The handle's position relative to the hinge, in the door's frame."""
+HANDLE_ANGLE = np.arctan2(HANDLE[1], HANDLE[0])
 PUSH, PULL = np.array([0.375, -0.175], np.float32), np.array([0.415, -0.055], np.float32)
 """Positions from which the hand moves the door, in its frame: in front of the handle to close, behind its free end to
 open."""
