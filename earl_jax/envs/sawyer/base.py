@@ -63,10 +63,9 @@ class Sawyer(MujocoEnv):
     the task's goal, as the released option for backward evaluations and demonstrations does. The released 5 `substeps`
     are 2.5 ms each.
 
-    The paper's text contradicts itself about the observation: it says 12 numbers, but lists the gripper's state, with
-    which there are 14, as released. `variant="paper"` has the number, 12: state and goal without the gripper. The text
-    calls the fourth action the normalized gripper torque. It sets the targets of the fingers' position actuators, as
-    released: the force on a finger is 400 N times `grip` minus at most 16 N, which depends on the finger's position.
+    The paper's text contradicts itself: it says 12 numbers, which `variant="paper"` has, but lists the gripper's opening
+    too, with which there are 14. It calls `grip` a torque; as released, it sets the targets of the fingers' position
+    actuators.
     """
 
     substeps: int = 5
