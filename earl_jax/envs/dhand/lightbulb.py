@@ -159,8 +159,8 @@ class DHandLightbulb(MujocoEnv):
 
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
         data, wrist = state.data, action[FINGERS:]
-        lower = jnp.where(state.info["pressed"], 0.0, -1.0)
-        move = jnp.maximum(wrist[:3], jnp.stack([jnp.asarray(-1.0), jnp.asarray(-1.0), lower]))
+        lowest = jnp.where(state.info["pressed"], 0.0, -1.0)
+        move = jnp.stack([wrist[0], wrist[1], jnp.maximum(wrist[2], lowest)])
         target = jnp.clip(data.mocap_pos[0] + REACH * move, LOW, HIGH)
         yaw = jnp.clip(yaw_of(data.mocap_quat[0]) + TURN * wrist[5], -TWIST, TWIST)
         # Three fingers with spread, knuckle, middle and tip, then the thumb, whose knuckle comes first.
