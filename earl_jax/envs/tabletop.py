@@ -124,8 +124,7 @@ class TabletopOrganization(KinematicEnv):
         moved = jnp.clip(gripper + STEP * action[:2], -LIMIT, LIMIT)
         carried = jnp.clip(mug + (moved - gripper), -LIMIT, LIMIT)
         qpos = jnp.concatenate([moved, jnp.where(held, carried, mug)])
-        data = state.data.replace(qpos=qpos, time=state.data.time + 1)
-        return data, jnp.concatenate([qpos, jnp.where(held, HELD, FREE)]), {}
+        return state.data.replace(qpos=qpos), jnp.concatenate([qpos, jnp.where(held, HELD, FREE)]), {}
 
     def success(self, obs: jax.Array) -> jax.Array:
         first = 2 if self.wide or self.mug_only else 0

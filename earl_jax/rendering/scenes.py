@@ -49,7 +49,6 @@ class Scene(contextlib.AbstractContextManager):
             ValueError: the task has no model, the model has no such camera, or this machine cannot draw.
         """
         self._mujoco = mujoco = _drawing_mujoco()
-        self.env = env
         self.goal = goal
         self._view = view_of(env)
         self.model = _drawn_model(env)
