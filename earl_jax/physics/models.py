@@ -3,7 +3,6 @@
 import contextlib
 import functools
 import importlib
-import importlib.util
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.errors import InputError
+from earl_jax.physics.engine_choice import has_warp
 from earl_jax.physics.state import PhysicsState
 
 INVWEIGHT = "invweight:"
@@ -82,7 +82,7 @@ def _adapt_to_timestep(model: Any, reference: float, growth: Sequence[float]) ->
 def import_mjx() -> Any:
     """Return the module `mujoco.mjx`; its message about a missing Warp does not go to stdout, which can be JSON."""
     with contextlib.redirect_stdout(io.StringIO()):
-        if importlib.util.find_spec("warp"):
+        if has_warp():
             warp = importlib.import_module("warp")
             warp.config.log_level = warp.LOG_WARNING
         return importlib.import_module("mujoco.mjx")

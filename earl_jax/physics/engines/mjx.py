@@ -21,13 +21,11 @@ NaN."""
 @functools.cache
 def _model(simulator: "Simulator") -> tuple[Any, Any]:
     mjx, host = import_mjx(), simulator.mujoco_model()
-    implementation = "warp" if simulator.engine == "warp" else "jax"
-    budget = {"naconmax": WARP_CONTACTS, "njmax": WARP_ROWS} if implementation == "warp" else {}
     with jax.ensure_compile_time_eval():
-        model = mjx.put_model(host, impl=implementation)
-        if implementation == "warp":
-            model = model.tree_replace({"opt._impl.warn_overflow": 0})
-        return model, mjx.make_data(host, impl=implementation, **budget)
+        if simulator.engine == "mjx":
+            return mjx.put_model(host, impl="jax"), mjx.make_data(host, impl="jax")
+        model = mjx.put_model(host, impl="warp").tree_replace({"opt._impl.warn_overflow": 0})
+        return model, mjx.make_data(host, impl="warp", naconmax=WARP_CONTACTS, njmax=WARP_ROWS)
 
 
 @functools.partial(jax.jit, static_argnums=0)
