@@ -71,7 +71,7 @@ def _adapt_to_timestep(model: Any, reference: float, growth: Sequence[float]) ->
     their stiffness. It also applies joint damping at the end of a step, after the constraints, so that a damped joint
     yields the less to them the longer the step is; more armature cancels that.
     """
-    shortest, excess = 2.0 * model.opt.timestep, model.opt.timestep - reference
+    shortest, excess = 2.0 * model.opt.timestep, max(0.0, model.opt.timestep - reference)
     for solref in (model.eq_solref, model.pair_solref, model.jnt_solref):
         raised = (solref[:, 0] > 0.0) & (solref[:, 0] < shortest)
         solref[raised, 1] *= solref[raised, 0] / shortest

@@ -70,7 +70,7 @@ def test_the_compiled_model_has_the_weld_of_the_original():
 
 
 @pytest.mark.parametrize(("name", "reference"), [("franka_kitchen", 0.002), ("dhand_lightbulb", 0.0025)])
-def test_a_longer_time_step_keeps_the_stiffness_of_constraints(name, reference):
+def test_a_longer_time_step_keeps_the_stiffness_of_constraints_and_a_shorter_one_the_armature(name, reference):
     """The stiffness is 1 / (time constant * damping ratio)^2; MuJoCo raises time constants to two time steps."""
     original, longer = physics.load_model(name, reference), physics.load_model(name, 4 * reference)
     stiff = 0
@@ -80,6 +80,7 @@ def test_a_longer_time_step_keeps_the_stiffness_of_constraints(name, reference):
         assert (after[:, 0] >= 8 * reference - 1e-12).all()
         stiff += (before[:, 0] < 8 * reference).sum()
     assert stiff > 0
+    np.testing.assert_array_equal(physics.load_model(name, reference / 2).dof_armature, original.dof_armature)
     gained = longer.dof_armature - original.dof_armature
     assert (gained[:7] > 0).all()
     np.testing.assert_array_equal(gained[23:], 0.0)
