@@ -28,10 +28,6 @@ MAX_STEPS = 400
 def make(env: Env, seed: int = 0) -> dict[str, Demos]:
     """Return the demonstrations of `env` by direction: one for each start that the task's script names.
 
-    The tabletop has three for each goal and direction, the door five for each direction, the peg ten, and the DHand 20
-    forward ones. A backward demonstration starts where its forward one ended; the peg's start with the peg inserted and
-    the hand at home, as published.
-
     Raises:
         ValueError: the task has no demonstration script; the message lists the tasks that have one.
         RuntimeError: a demonstration failed, as in `record`.
