@@ -18,7 +18,7 @@ from earl_jax.envs.base import Env
 from earl_jax.envs.checks import require_result
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import Map, Starts, View
-from earl_jax.envs.state import NextState, State, stored_key, tree_where
+from earl_jax.envs.state import State, stored_key, tree_where
 from earl_jax.errors import InputError
 from earl_jax.options.values import within
 from earl_jax.physics import PendingStep
@@ -152,11 +152,10 @@ class HelpBudget(Env):
     def finish_step(self, state: State, pending: PendingStep) -> State:
         asked, payload = pending.payload
         moved = self.task.finish_step(state.data, PendingStep(payload, pending.ticket))
-        inner, vector, changed = self._after(state, asked, moved)
-        return self.make_state(inner, vector, {**state.info, **changed})
+        return self._augmented(*self._after(state, asked, moved))
 
-    def _after(self, state: State, asked: jax.Array, moved: State) -> NextState:
-        """Return the result of a step that `asked` for help or not, bool [], and leads to `moved` in the task.
+    def _after(self, state: State, asked: jax.Array, moved: State) -> tuple[State, dict[str, jax.Array]]:
+        """Return the task's state and `info` after a step that `asked` for help or not, bool [], and leads to `moved`.
 
         The budget is computed from the counts, so that rounding does not add up over a long lifetime.
         """
@@ -172,15 +171,11 @@ class HelpBudget(Env):
         fresh = self.task.with_goal(self.task.reset(drawn), state.info["goal"])
         helped = tree_where(asked | enforced, fresh, moved)
         info = tree_where(_ended(state.info), state.info, {**state.info, **changed})
-        inner = tree_where(_ended(info), state.data, helped)
-        return inner, self._vector(inner, info), info
-
-    def _vector(self, inner: State, info: dict[str, jax.Array]) -> jax.Array:
-        """Return the augmented state vector [s + 1]."""
-        return jnp.append(inner.obs[: self.task.state_size], info["budget"] / self.budget)
+        return tree_where(_ended(info), state.data, helped), info
 
     def _augmented(self, inner: State, info: dict[str, jax.Array]) -> State:
-        return self.make_state(inner, self._vector(inner, info), info)
+        vector = jnp.append(inner.obs[: self.task.state_size], info["budget"] / self.budget)
+        return self.make_state(inner, vector, info)
 
     def make_state(self, data: State, vector: jax.Array, info: dict[str, jax.Array]) -> State:
         return super().make_state(data, vector, info).replace(done=_ended(info).astype(jnp.float32))
@@ -232,8 +227,8 @@ class WithoutHelp(HelpBudget):
     def fault(self, state: State) -> jax.Array:
         return self.task.fault(state.data)
 
-    def _after(self, state: State, asked: jax.Array, moved: State) -> NextState:
-        return moved, self._vector(moved, state.info), {}
+    def _after(self, state: State, asked: jax.Array, moved: State) -> tuple[State, dict[str, jax.Array]]:
+        return moved, state.info
 
 
 def without_budget(env: Env) -> Env:
