@@ -119,6 +119,8 @@ def test_only_runs_with_scripted_corrections_say_so(tmp_path):
         ({"eval_episodes": 2}, "evaluations have fewer than 10 episodes"),
         ({"steps": 110_000}, "it has 100000 of 110000 steps"),
         ({"env_options": {"wide": True}}, "the task has options"),
+        ({"env_options": {"demo_file": "mine.npz"}}, "it was trained with other demonstrations"),
+        ({"options": {"reward_scale": [1.0, 1.0, 10.0, 10.0, 10.0]}}, "its seeds have different hyper-parameters"),
         ({"algo_class": "mine:Naive"}, "mine:Naive is not registered"),
         ({"imports": [{"file": "mine.py", "sha256": "0" * 64}]}, "it was trained with a file of its own"),
         ({"provenance": {"commit": "0123456789-dirty"}}, "012345678-dirty lacks changes"),

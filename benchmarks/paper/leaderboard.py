@@ -29,7 +29,7 @@ from earl_jax.report.comparison import pair_row, with_verdicts
 from earl_jax.report.leaderboard import COLUMNS, OURS, commit_of, crossing_texts, ranked, run_row, score_text, texts
 from earl_jax.report.pooling import pooling_key
 from earl_jax.report.published import RECONSTRUCTED, SEEDS, published_score, released_curves, training_steps
-from earl_jax.report.runs import Curves, by_method, options_text, read
+from earl_jax.report.runs import Curves, by_method, by_values, options_text, read
 from earl_jax.report.scores import LEVELS, interval_of, seed_scores
 from earl_jax.report.tables import Row, csv_text, markdown_table, millions, number_text
 from earl_jax.runs.folder import RunFolder
@@ -217,8 +217,10 @@ def add(run: Path, root: Path = RESULTS) -> Path:
     config = curves.config
     _require(config.env in PAPER_TASKS, f"{config.env} is not one of the tasks {', '.join(PAPER_TASKS)}")
     _require(curves.comparable, "the task has options, another kind of reward or another setting than the paper's")
+    _require("demo_file" not in config.env_options, "it was trained with other demonstrations than those that ship")
     _require(not config.algo_class, f"{config.algo_class} is not registered, so others cannot repeat the run")
     _require(not config.imports, "it was trained with a file of its own; a package can bring the method")
+    _require(len(by_values(curves)) == 1, "its seeds have different hyper-parameters")
     _require(curves.seeds >= FEWEST_SEEDS, f"it has {curves.seeds} seeds, fewer than {FEWEST_SEEDS}")
     _require(config.eval_episodes >= FEWEST_EPISODES, f"evaluations have fewer than {FEWEST_EPISODES} episodes")
     _require(config.eval_every <= RAREST_EVALUATION, f"evaluations are more than {RAREST_EVALUATION:,} steps apart")
