@@ -20,8 +20,8 @@ from earl_jax.runs.files import RunWarning, require_suffix
 
 RELEASED = {"color": "0.55"}
 """The style of the released runs of the paper."""
-COLOUR_COUNT = 10
-"""Colours of matplotlib's cycle."""
+CYCLE = (*(f"C{number}" for number in range(7)), "black", "C8", "C9")
+"""Colours of lines: matplotlib's cycle without its grey, which looks like that of the released runs."""
 LETTER = 0.58 / 72
 """Width of a letter in inches per point of its size."""
 POINTS = 2000
@@ -55,8 +55,8 @@ class Line(NamedTuple):
     @property
     def style(self) -> dict[str, Any]:
         """The colour, and dashes for those beyond ten colours."""
-        dashes = style.LINE_STYLES[self.number // COLOUR_COUNT % len(style.LINE_STYLES)]
-        return {"color": f"C{self.number % COLOUR_COUNT}", "linestyle": dashes}
+        dashes, colour = divmod(self.number, len(CYCLE))
+        return {"color": CYCLE[colour], "linestyle": style.LINE_STYLES[dashes % len(style.LINE_STYLES)]}
 
 
 def caption(smooth: int = 1, published: bool = False) -> str:
@@ -172,7 +172,7 @@ def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool
 
     Where styles repeat there is no legend, and a `RunWarning` says so.
     """
-    styles = COLOUR_COUNT * len(style.LINE_STYLES)
+    styles = len(CYCLE) * len(style.LINE_STYLES)
     if max(line.number for line in lines) >= styles:
         text = f"a picture of more than {styles} lines has no legend, because their styles repeat"
         warnings.warn(text, RunWarning, stacklevel=3)

@@ -67,9 +67,9 @@ def test_a_metric_smoothing_and_labels(sweep, drawn):
 
 def test_lines_whose_styles_repeat_have_no_legend(sweep, drawn, monkeypatch):
     monkeypatch.setattr(plots.style, "LINE_STYLES", ["-"])
-    monkeypatch.setattr(plots, "COLOUR_COUNT", 2)
+    monkeypatch.setattr(plots, "CYCLE", ["C0", "C1"])
     assert drawn(sweep).legends
-    monkeypatch.setattr(plots, "COLOUR_COUNT", 1)
+    monkeypatch.setattr(plots, "CYCLE", ["C0"])
     with pytest.warns(RunWarning, match="a picture of more than 1 lines has no legend"):
         assert not drawn(sweep).legends
 
@@ -100,6 +100,7 @@ def test_lines_beyond_ten_colours_are_dashed_and_long_names_are_wrapped(tmp_path
     figure = drawn(tmp_path, size="column")
     lines = figure.axes[0].lines
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 12
+    assert "C7" not in {line.get_color() for line in lines}, "matplotlib's grey looks like that of the released runs"
     assert texts(figure)[0] == "Naive RL (discount=0.9, learning_rate=0.001),\n3 seeds"
     assert figure.get_size_inches()[0] == 3.35
 
