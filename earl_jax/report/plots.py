@@ -15,7 +15,7 @@ from earl_jax.report import style
 from earl_jax.report.pooling import read_all
 from earl_jax.report.published import released_beside
 from earl_jax.report.runs import Curves, checked_labels, labels
-from earl_jax.report.scores import evenly_spaced, interval_of, trailing
+from earl_jax.report.scores import evenly_spaced, interval_of, require_curve, trailing
 from earl_jax.runs.files import RunWarning, require_suffix
 
 RELEASED = {"color": "0.55"}
@@ -96,7 +96,7 @@ def plot_runs(
     require_suffix(out, style.PICTURES, "pictures")
     require_known("size", size, SIZES)
     require("smooth", smooth, COUNT)
-    runs = read_all(folders, check=lambda curves: curves.metrics[metric or curves.deployed_metric])
+    runs = read_all(folders, check=lambda curves: require_curve(curves, metric))
     lines = _lines(runs, names)
     tasks = style.task_order(line.curves.env for line in lines)
     by_task = sorted(lines, key=lambda line: tasks.index(line.curves.env))
@@ -164,7 +164,7 @@ def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, look: dict[
     band = Estimate(*[estimate.value] * 3) if each else estimate
     style.draw_band(axis, steps, band, alpha=0.2, **look)
     if each:
-        axis.plot(steps, values.T, color=look["color"], alpha=0.3, linewidth=0.8, marker=style.dot(steps))
+        axis.plot(steps, values.T, color=look["color"], alpha=0.3, linewidth=0.8, marker=style.dot(estimate.value))
 
 
 def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool) -> None:

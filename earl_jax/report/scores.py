@@ -34,10 +34,15 @@ def seed_scores(curves: Curves, metric: str | None = None) -> np.ndarray:
     scored = np.arange(-curves.window.count(curves.steps), 0)
     values = curves.metrics[metric or curves.deployed_metric][:, scored]
     if metric and not np.isfinite(values).all():
-        raise InputError(
-            f"{metric} of {curves.label or curves.algo} has no value at some evaluations, so it has no score"
-        )
+        raise InputError(f"{metric} of {curves.label or curves.algo} has no value at some evaluations, so no score")
     return values.mean(axis=-1)
+
+
+def require_curve(curves: Curves, metric: str | None) -> None:
+    """Raise an InputError if a run has no `metric`, by default the deployed one, or no evaluation with values of all seeds."""
+    name = metric or curves.deployed_metric
+    if not np.isfinite(curves.metrics[name]).all(axis=0).any():
+        raise InputError(f"{curves.algo} has no evaluation at which every seed has a value of {name}")
 
 
 def over_same_steps(runs: Sequence[Curves], step: float = math.inf) -> list[Curves]:

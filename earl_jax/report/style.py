@@ -58,13 +58,14 @@ def save(figure: Any, path: Path) -> Path:
 
 def draw_band(axis: Any, x: Any, estimate: Estimate, color: Any, alpha: float = 0.15, **line: Any) -> None:
     """Draw the values of `estimate`, arrays over `x`, as a line with its interval as a band; a single value is a dot."""
-    axis.plot(x, estimate.value, color=color, **{"linewidth": 1.3, "marker": dot(x), **line})
+    axis.plot(x, estimate.value, color=color, **{"linewidth": 1.3, "marker": dot(estimate.value), **line})
     axis.fill_between(x, estimate.low, estimate.high, color=color, alpha=alpha, linewidth=0)
 
 
-def dot(x: Any) -> str | None:
-    """Return the marker of a line over `x`: a dot if it has a single point, which could not be seen without one."""
-    return "o" if len(x) == 1 else None
+def dot(values: Any) -> str | None:
+    """Return the marker of a line through `values`: a dot if no two neighbours are numbers, as it could not be seen without."""
+    drawn = np.isfinite(np.atleast_1d(values))
+    return None if (drawn[1:] & drawn[:-1]).any() else "o"
 
 
 def reach(estimate: Estimate) -> np.ndarray:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from earl_jax.metrics.phase_stats import ALIVE, FORWARD
 from earl_jax.report import plots
 from earl_jax.report.plots import RELEASED, caption, plot_runs
 from earl_jax.report.style import COLOURS, colours, method_order, task_title
@@ -10,7 +11,7 @@ from earl_jax.runs.files import RunWarning
 from tests.cli.process import run
 from tests.report.run_files import DOOR, TABLETOP, rising, write_run
 
-METRICS = {"continuing/reward": [0.0, 0.005, 0.01], "interventions": [1.0, 2.0, 3.0], "continuing/alive": [1, 1, 0]}
+METRICS = {"continuing/reward": [0.0, 0.005, 0.01], "interventions": [1, 2, 3], ALIVE: [1, np.nan, 0], FORWARD: np.nan}
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +62,9 @@ def test_a_metric_smoothing_and_labels(sweep, drawn):
     np.testing.assert_allclose(axis.lines[0].get_ydata(), [1.0, 1.5, 2.5])
     assert "trailing 2 evaluations" in caption(2)
     assert "No smoothing" in caption()
-    [axis] = drawn(sweep / DOOR, metric="continuing/alive").axes
+    [axis] = drawn(sweep / DOOR, metric=ALIVE).axes
     assert axis.get_ylim() == (-0.03, 1.03), "a share is drawn from 0 to 1"
+    assert axis.lines[0].get_marker() == "o", "evaluations without neighbours are drawn as dots"
 
 
 def test_lines_whose_styles_repeat_have_no_legend(sweep, drawn, monkeypatch):
@@ -84,7 +86,6 @@ def test_runs_of_a_task_by_success_and_by_return_have_panels_of_their_own(tmp_pa
 
 
 def test_a_single_evaluation_is_drawn_as_dots(tmp_path, drawn):
-    """A line of one point is invisible."""
     metrics = {"continuing/reward": 0.1}
     write_run(tmp_path / "many", TABLETOP, "naive", rising(3, 1), metrics=metrics)
     write_run(tmp_path / "few", TABLETOP, "fbrl", rising(2, 1), metrics=metrics)
@@ -128,6 +129,7 @@ def test_methods_keep_their_order_and_colours_and_unknown_tasks_their_names():
     [
         ({"names": ["one"]}, "1 labels for 2 runs; give one for each of: fbrl; naive"),
         ({"metric": "speed"}, "has no column 'speed'; it has"),
+        ({"metric": FORWARD}, "fbrl has no evaluation at which every seed has a value of continuing/forward_success"),
         ({"smooth": 0}, "smooth must lie in"),
         ({"smooth": 2.5}, "smooth must be a whole number, not 2.5"),
         ({"size": "poster"}, "unknown size 'poster'; choose from screen, column, page"),

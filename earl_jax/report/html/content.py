@@ -91,8 +91,7 @@ def _notes(lines: Sequence[Line]) -> list[str]:
         trained, planned = line.curves.length, max(run.config.steps for run in line.curves.runs)
         if trained < planned:
             notes.append(f"{line.curves.label}: {trained:,} of {planned:,} steps trained.")
-        repeated = ", ".join(map(str, sorted(line.curves.repeated_seeds)))
-        if repeated:
+        if repeated := ", ".join(map(str, sorted(line.curves.repeated_seeds))):
             notes.append(f"{line.curves.label}: seed {repeated} ran more than once and counts by the mean of its runs.")
     return notes
 

@@ -83,7 +83,7 @@ def panels(lines: Sequence[Line]) -> list[dict[str, Any]]:
     plots = []
     for panel in PANELS:
         pairs = [(line, panel.metric or line.curves.deployed_metric) for line in lines]
-        pairs = [(line, metric) for line, metric in pairs if metric in line.curves.metrics]
+        pairs = [pair for pair in pairs if np.isfinite(pair[0].curves.metrics.get(pair[1], np.nan)).any()]
         if not pairs or not (panel.always or any(line.curves.metrics[metric].any() for line, metric in pairs)):
             continue
         rates = pairs[0][1] in RATES
@@ -101,8 +101,7 @@ def panels(lines: Sequence[Line]) -> list[dict[str, Any]]:
 
 
 def _curve(line: Line, metric: str) -> dict[str, Any]:
-    curves = line.curves
-    values = curves.metrics[metric]
+    curves, values = line.curves, line.curves.metrics[metric]
     count = len(curves.steps)
     indices = evenly_spaced(count, POINTS)
     smooth = metric == curves.deployed_metric and count >= 2 * SMOOTH

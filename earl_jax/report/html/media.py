@@ -49,9 +49,7 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
                 whole = RunFolder.open(run.path)
                 counts = np.asarray(load_visits(whole)[1])[np.isin(whole.config.seeds, run.config.seeds)]
                 if visits and counts.shape[1:] != visits[0].shape[1:]:
-                    raise InputError(
-                        f"{run.path} has maps of {len(counts[0])} bins, another run of {len(visits[0][0])}"
-                    )
+                    raise InputError(f"{run.path} has maps of {len(counts[0])} bins, another of {len(visits[0][0])}")
                 visits.append(counts)
             except Exception as error:  # the files are data: any error in them is reported and affects nothing else
                 sentences.append(f"No map of {line.curves.label}: {_cause(error)}.")
@@ -65,11 +63,10 @@ def maps(lines: Sequence[Line]) -> tuple[list[dict[str, Any]], list[str]]:
 
 def _map(line: Line, task_map: Map, visits: np.ndarray) -> dict[str, Any]:
     """Return the map of `visits [N, B, B]`, whose first axis is x."""
-    total, scores = visits.sum(axis=0), [measure(part) for part in visits]
+    total, measures = visits.sum(axis=0), [measure(part) for part in visits]
     return {
         "line": line,
-        "covered": float(np.mean([score["covered"] for score in scores])),
-        "entropy": float(np.mean([score["entropy"] for score in scores])),
+        **{name: float(np.mean([of_seed[name] for of_seed in measures])) for name in ("covered", "entropy")},
         "plot": {
             "bounds": np.asarray(task_map.bounds, float).tolist(),
             "unit": task_map.unit,
@@ -87,7 +84,7 @@ class Film(NamedTuple):
 
 
 class PolicyVideos:
-    """Renders a video of a policy of every run with policies.npz: its median seed by the last ten evaluations.
+    """Renders a video of a policy of every run with policies.npz: its median seed by score.
 
     A run is rendered again when its policies are newer. The files are in a temporary folder; a run folder stays as it is.
     """

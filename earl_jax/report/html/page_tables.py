@@ -104,8 +104,7 @@ def seed_table(lines: Sequence[Line]) -> dict[str, Any]:
     panels = [panel for panel in PANELS if panel.metric and any(panel.metric in line.curves.metrics for line in lines)]
     rows = []
     for line in lines:
-        metrics = line.curves.metrics
-        scores = seed_scores(line.curves)
+        metrics, scores = line.curves.metrics, seed_scores(line.curves)
         for lane, seed in enumerate(line.seeds):
             last = [metrics[panel.metric][lane, -1] if panel.metric in metrics else math.nan for panel in panels]
             texts = [_typeset(number_text(value, ".4g")) for value in (scores[lane], *last)]

@@ -126,7 +126,7 @@ def test_maps_of_another_size_are_left_out(run, monkeypatch):
     monkeypatch.setattr(media, "load_visits", load)
     [drawn], [sentence] = maps(read_lines(run, other))
     assert len(drawn["plot"]["shares"]) == 4
-    assert sentence == f"No map of fbrl: {other} has maps of 8 bins, another run of 4."
+    assert sentence == f"No map of fbrl: {other} has maps of 8 bins, another of 4."
 
 
 def test_a_task_without_a_map_has_none(tmp_path):
