@@ -92,14 +92,8 @@ def test_a_row_says_which_settings_were_chosen_with_a_look_at_runs_of_the_task(t
     ):  # fmt: skip
         written(tmp_path / "leaderboard" / DOOR / str(number), SCORES, algo, env=DOOR, **options)
     rows = [row for row in leaderboard.rows_of(leaderboard.entries(tmp_path)) if row["source"] == "earl_jax"]
-    chosen = sorted((row["method"].partition(" ")[0], row["chosen"]) for row in rows)
-    assert chosen == [
-        ("cfbrl", "all options"),
-        ("fbrl", "reward scale"),
-        ("fbrl", "reward scale, phases"),
-        ("vaprl", "-"),
-        ("vaprl", "reward scale, subgoals"),
-    ]
+    chosen = [words for _, words in sorted((row["method"].partition(" ")[0], row["chosen"]) for row in rows)]
+    assert chosen == ["all options", "reward scale", "reward scale, phases", "-", "reward scale, subgoals"]
 
 
 def test_only_runs_with_scripted_corrections_say_so(tmp_path):
