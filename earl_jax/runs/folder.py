@@ -245,8 +245,8 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
     try:
         values = json.loads(read_bytes(file, LARGEST_CONFIG))
         if (known := values.get("format", ...)) != FORMAT:
-            if isinstance(known, int) and known > FORMAT:
-                fault = "was written by a newer version of earl_jax"
+            if isinstance(known, int):
+                fault = "was written by another version of earl_jax"
             named = f"its format is {brief(known)}" if "format" in values else "it names no format"
             raise InputError(f"{named}, and this version of earl_jax reads {FORMAT}")
         for name in ("seeds", "logs"):
