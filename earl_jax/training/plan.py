@@ -126,16 +126,14 @@ def per_lane(options: Options, lanes: int) -> Options:
     """Return a method, or a learner, with every float leaf as an array [lanes]; a leaf of that shape keeps its values.
 
     Raises:
-        ValueError: a leaf is text, or neither a scalar nor of length `lanes`; the message names its option.
+        ValueError: a leaf is text, a constant of `Method`, or neither a scalar nor of length `lanes`; the message names it.
     """
 
     def broadcast(path, leaf):
         name = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("learner.")
-        if isinstance(leaf, str):
-            mark = f"`{name}: str = flax.struct.field(pytree_node=False, default=...)`"
-            raise InputError(
-                f"{name} is {brief(leaf)}, no number that can differ between lanes; mark the field: {mark}"
-            )
+        if isinstance(leaf, str) or name in vars(Method):
+            fix = f"`{name}: {type(leaf).__name__} = flax.struct.field(pytree_node=False, default=...)`"
+            raise InputError(f"{name} is {brief(leaf)}, no number that can differ between lanes; mark the field: {fix}")
         shape = jnp.shape(leaf)
         if shape not in ((), (lanes,)):
             raise InputError(f"{name} has shape {shape}; pass one value, or one for each of {lanes} lanes")

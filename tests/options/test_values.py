@@ -165,6 +165,7 @@ def test_options_of_an_object_that_are_invalid_or_that_no_program_can_hold_are_n
         word: object = 0.0
         mode: Literal["a", "b"] = struct.field(pytree_node=False, default="a")
 
+    late = type("Late", (Naive,), {"__annotations__": {"later_steps": int}, "later_steps": 9})
     for method, message in (
         *[(Marked(SAC(discount=value)), rf"naive: discount must lie .* {value!r}") for value in (1.0, "high", "0.9")],
         (Marked(SAC(batch_size=2.0)), "naive: batch_size must be a whole number, not 2.0"),  # pyright: ignore[reportArgumentType]
@@ -172,6 +173,7 @@ def test_options_of_an_object_that_are_invalid_or_that_no_program_can_hold_are_n
         (Marked(mode="c"), "mode 'c' is not one of a, b"),  # pyright: ignore[reportArgumentType]
         (Marked(SAC), r"the learner must be an object of Learner, not .*did you mean SAC\(\)"),  # pyright: ignore[reportArgumentType]
         (Marked(word="fast"), "word is 'fast', no number .* mark the field: `word: str = flax.struct.field"),
+        (late(), "later_steps is 9, no number .* mark the field: `later_steps: int = flax.struct.field"),
         (Marked(word=(0.5, np.zeros(3))), r"word.1 has shape \(3,\); pass one value, or one for each of 2 lanes"),
     ):
         with pytest.raises(InputError, match=message):
