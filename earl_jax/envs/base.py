@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from earl_jax.envs.checks import require_like
+from earl_jax.envs.checks import require_like, require_tuple
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State, all_finite, random_row
@@ -208,7 +208,7 @@ class Env(abc.ABC):
 
         Its obs is NaN, a fault, if the action is not finite. An engine may replace such an action, as MuJoCo does.
         """
-        data, vector, changed = following
+        data, vector, changed = require_tuple(f"{self.name}: a step", following, tuple, "data", "vector", "info")
         if new := changed.keys() - state.info.keys():
             given = f"{', '.join(sorted(new))}, but reset sets {', '.join(state.info)}"
             raise InputError(f"{self.name}: a step changes info {given} alone")

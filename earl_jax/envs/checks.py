@@ -51,11 +51,13 @@ def check_task(env: "Env") -> None:
         raise InputError(f"{env.name}: a state that equals its goal is a success, but success is {brief(bits)}")
 
 
-def require_tuple(what: str, result: Any, kind: Any) -> None:
-    """Raise an InputError unless `result`, which the function `what` returned, is a named tuple `kind`."""
-    if not isinstance(result, kind):
-        names = ", ".join(kind._fields)
-        raise InputError(f"{what} must return {kind.__name__}({names}), not an object of {type(result).__name__}")
+def require_tuple(what: str, result: Any, kind: Any, *names: str) -> Any:
+    """Return `result` of the function `what`; an InputError unless it is a named tuple `kind`, or a tuple of `names`."""
+    if not isinstance(result, kind) or (names and len(result) != len(names)):
+        wanted = f"({', '.join(names)})" if names else f"{kind.__name__}({', '.join(kind._fields)})"
+        given = f"a tuple of {len(result)}" if isinstance(result, tuple) else f"an object of {type(result).__name__}"
+        raise InputError(f"{what} must return {wanted}, not {given}")
+    return result
 
 
 def require_result(what: str, result: Any, shape: tuple[int, ...], kind: str) -> None:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.envs.base import Env, NextState, State
+from earl_jax.envs.checks import require_tuple
 from earl_jax.envs.features import View
 from earl_jax.options.values import Interval, require
 from earl_jax.physics import EngineCost, PendingStep, PhysicsState, Simulator, resolve_engine
@@ -74,7 +75,7 @@ class MujocoEnv(Env):
 
     def start_step(self, state: State, action: jax.Array) -> PendingStep:
         action = self._checked_action(action)
-        data, command = self.control(state, action)
+        data, command = require_tuple(f"{self.name}: control", self.control(state, action), tuple, "data", "command")
         physics = self.simulator.start_step(data, command)
         return PendingStep((action, data, physics.payload), physics.ticket)
 

@@ -47,6 +47,9 @@ def test_odd_goals_and_functions_are_refused_by_training_adapters_and_a_loop_of_
     [
         ("fault", lambda env, state: None, r"what fault returns must be bool\[\], not None"),
         ("intervene", lambda env, key, state: None, r"intervene must return the state with .*, but .data was float32\[1\] and"),
+        ("state_size", 2, r"a state vector has shape \(1,\), not \(2,\)"),
+        ("transition", lambda env, state, action: (1, 2), r"a step must return \(data, vector, info\), not a tuple of 2"),
+        ("transition", lambda env, state, action: (state.data, 1, {"count": 1}), "info count, but reset sets goal"),
         ("reset", lambda env, key: Chain.reset(env, key).replace(data=jnp.zeros(1, jnp.int32)), r".data was int32\[1\]"),
     ],
 )  # fmt: skip
@@ -54,6 +57,12 @@ def test_a_life_refuses_what_a_function_of_a_state_may_not_return(member, value,
     env, protocol = type("Odd", (Chain,), {member: value})(), Protocol(8, 4)
     with pytest.raises(InputError, match=f"chain: .*{message}"):
         advance(env, init(env, protocol, jax.random.key(0)), jnp.ones(1))
+
+
+def test_a_control_that_returns_the_command_alone_is_refused():
+    env = type("Odd", (type(earl_jax.make("fish_swim")),), {"control": lambda env, state, action: action})()
+    with pytest.raises(InputError, match=r"fish_swim: control must return \(data, command\), not an object of"):
+        env.start_step(jax.eval_shape(env.reset, jax.random.key(0)), jnp.zeros(5))
 
 
 def test_goals_of_whole_numbers_keep_the_types_of_a_life():
@@ -67,12 +76,6 @@ def test_the_reward_of_a_state_is_float32_also_of_a_task_that_returns_the_succes
     env = type("Bit", (Chain,), {"reward": Chain.success})(start=2)
     state = env.step(env.reset(jax.random.key(0)), jnp.ones(1))
     assert state.reward.dtype == env.reset(jax.random.key(0)).reward.dtype == jnp.float32
-
-
-def test_a_state_vector_of_another_size_is_refused():
-    env = type("Long", (Chain,), {"state_size": 2})()
-    with pytest.raises(InputError, match=r"chain: a state vector has shape \(1,\), not \(2,\)"):
-        env.reset(jax.random.key(0))
 
 
 def test_a_problem_can_be_made_in_a_program_that_is_traced():

@@ -147,13 +147,6 @@ def test_the_numbers_of_a_task_are_the_papers_or_the_releases(name):
     assert (*sizes, *horizons, env.reward_type, env.view.dt, *counts) == NUMBERS[name]
 
 
-def test_a_step_that_adds_a_field_to_info_is_refused_by_name():
-    counted = {"transition": lambda self, state, action: (state.data, state.data, {"count": 1})}
-    task = type("Counting", (Chain,), counted)()
-    with pytest.raises(ValueError, match="chain: a step changes info count, but reset sets goal"):
-        task.step(task.reset(jax.random.key(0)), jnp.zeros(1))
-
-
 @EVERY_TASK
 def test_lanes_step_like_one_alone_and_no_action_breaks_a_task_but_one_that_is_not_finite(name):
     """Two lanes act at random, and two hold corners of the space of actions for ten steps each, until one acts with NaN."""
