@@ -158,8 +158,8 @@ def learn(
     require_tuple(f"{method.name}: prepare", sampled, TransitionBatch)
     batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
     size = batch.action.shape[:1]
-    for name in ("reward", "terminal"):
-        require_result(f"{method.name}: the {name} from prepare", getattr(batch, name), size, "number")
+    for name, shape in {"obs": (*size, env.observation_size), "reward": size, "terminal": size}.items():
+        require_result(f"{method.name}: the {name} from prepare", getattr(batch, name), shape, "number")
     agent = select_controller(lane.agent, controller)
     learnt = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
     known = (agent, lane.method_state, lane.counters.diagnostics)

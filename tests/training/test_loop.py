@@ -167,6 +167,7 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
         ("ends_phase", lambda *_: None, r"ends_phase returns must be bool\[\], not None"),
         ("prepare", lambda *_: None, r"prepare must return TransitionBatch\(row, .*, not an object of NoneType"),
         ("prepare", lambda *of: of[4]._replace(reward=of[4].reward[:, None]), r"the reward .*, not float32\[16, 1\]"),
+        ("prepare", lambda *of: of[4]._replace(goal=of[4].state[:, :0]), r"obs from .* number\[16, 2\], not float32\[16, 1\]"),
         ("learn", lambda *_: None, rf"learn must return .*Learner.diagnostics\) {same} \[0\].* was .*\[8\] and is missing"),
         ("learn", lambda *of: (of[3], of[6], {"loss": 1.0}), rf"{same} \[2\]\['critic_loss'\] was float32\[\] and is missing"),
         ("pretrain", lambda *_: None, rf"pretrain must return the agent {same} .* was float32\[.*\] and is missing"),
