@@ -1,8 +1,7 @@
 """Demonstrations recorded from the script that a task brings: these functions made the files in assets/demos.
 
 The scripts imitate the pace of the original demonstrations (tabletop: half speed, one axis after the other; every task
-with some noise), because shorter demonstrations would make every method's task easier than the published one. The paper
-has no demonstrations of the DHand, so none ship; `--set demo_file=...` trains with recorded ones.
+with some noise), because shorter demonstrations would make every method's task easier than the published one.
 """
 
 import functools
@@ -29,8 +28,8 @@ def make(env: Env, seed: int = 0) -> dict[str, Demos]:
     """Return the demonstrations of `env` by direction: one for each start that the task's script names.
 
     Raises:
-        ValueError: the task has no demonstration script; the message lists the tasks that have one.
-        RuntimeError: a demonstration failed, as in `record`.
+        ValueError: the task has no demonstration script (the message lists the tasks that have one), or a demonstration
+            failed, as in `record`.
     """
     script = _require_script(env)
     require("seed", seed, SEED)
@@ -61,8 +60,8 @@ def record(env: Env, state: State, rng: np.random.Generator, steps: int | None =
     It ends at success, or after `steps` steps. `rng` draws the noise on all components of the actions but the last.
 
     Raises:
-        ValueError: the task has no demonstration script; the message lists the tasks that have one.
-        RuntimeError: the script did not reach its goal within 400 steps, or is not at its goal after `steps`.
+        ValueError: the task has no demonstration script; the message lists the tasks that have one. Or its goal was not
+            reached within 400 steps, or is not after `steps`.
     """
     script, size = _require_script(env), env.state_size
     act, noise = script.action or functools.partial(_expert_action, env), script.noise
@@ -79,7 +78,7 @@ def record(env: Env, state: State, rng: np.random.Generator, steps: int | None =
         rows.append((obs[:size], obs[size:], action, next_obs[:size], np.float32(reached), ends))
         if reached and ends:
             return rows, state
-    raise RuntimeError(f"the demonstration script of {env.name} missed {np.asarray(state.info['goal'])}")
+    raise InputError(f"{env.name}: the script missed {np.asarray(state.info['goal'])} in {len(rows)} steps")
 
 
 _step = jax.jit(lambda env, state, action: env.step(state, action), static_argnums=0)
