@@ -136,16 +136,16 @@ def test_a_goal_outside_the_goal_table_or_a_task_that_is_no_task_goal_ends_train
         train(Chain(), Stray(episode_length=5), seeds=1, steps=20, eval_every=20, eval_episodes=1)
 
 
-def test_a_reset_to_values_that_are_not_finite_is_refused():
-    class Lost(Chain):
-        name = "lost"
+@pytest.mark.parametrize("name", ["obs", "reward"])
+def test_a_reset_to_values_that_are_not_finite_is_refused(name):
+    """A dense reward that is never finite used to be a fault in each step, and the return of each episode 0."""
 
-        def reset(self, key):
-            state = super().reset(key)
-            return state.replace(obs=state.obs * jnp.nan)
+    def reset(self, key):
+        state = Chain.reset(self, key)
+        return state.replace(**{name: getattr(state, name) * jnp.nan})
 
-    with pytest.raises(InputError, match="lost: reset must return finite observations"):
-        train(Lost(), "naive", seeds=1, steps=20, eval_every=20, eval_episodes=1)
+    with pytest.raises(InputError, match=f"chain: {name} must be finite after reset, not .*nan"):
+        train(type("Lost", (Chain,), {"reset": reset})(), "naive", seeds=1, steps=20, eval_every=20, eval_episodes=1)
 
 
 def test_the_method_of_a_result_trains_again_under_the_options_that_it_had(tmp_path):
