@@ -75,12 +75,13 @@ def require(name: str, value: Any, interval: Interval) -> None:
 
 
 def require_object(noun: str, given: Any, kind: type, or_name: bool = True) -> None:
-    """Raise an InputError unless `given` is an object of `kind`, as a class is not, or a name if `or_name`."""
+    """Raise an InputError unless `given` is an object of `kind` that has its `name`, or a name if `or_name`."""
     if not isinstance(given, kind) and not (or_name and isinstance(given, str)):
         call = f"; did you mean {given.__name__}()?" if isinstance(given, type) else ""
-        raise InputError(
-            f"the {noun} must be {'a name or ' * or_name}an object of {kind.__name__}, not {brief(given)}{call}"
-        )
+        wanted = f"{'a name or ' * or_name}an object of {kind.__name__}"
+        raise InputError(f"the {noun} must be {wanted}, not {brief(given)}{call}")
+    if "name" in inspect.get_annotations(kind) and isinstance(given, kind) and not hasattr(given, "name"):
+        raise InputError(f"the class {type(given).__name__} needs a `name`, as in name: ClassVar[str] = 'mine'")
 
 
 def _check_defaults(owner: str, cls: type) -> None:
@@ -100,9 +101,8 @@ def check_intervals(owner: str, options: Any) -> None:
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
         if not field.metadata.get("pytree_node", True) and getattr(value, "shape", ()):  # a program is looked up by it
-            raise InputError(
-                f"{owner}: {field.name} must be a plain value, such as a tuple, not the array {brief(value)}"
-            )
+            fix = "must be a plain value, such as a tuple"
+            raise InputError(f"{owner}: {field.name} {fix}, not the array {brief(value)}")
         if "interval" in field.metadata and value is not None:
             interval = field.metadata["interval"]
             require(f"{owner}: {field.name}", value, interval._replace(whole=interval.whole or field.type is int))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import earl_jax
-from earl_jax import SAC, Continuing
+from earl_jax import SAC, Continuing, Method
 from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
@@ -106,6 +106,7 @@ def test_options_are_split_into_task_setting_and_method():
         ({"env": TabletopOrganization}, r"the task must be a .*; did you mean TabletopOrganization\(\)"),
         ({"env": None}, "the task must be a name or an object of Env, not None"),
         ({"algo": Naive}, r"the method must be a name or an object of Method, .*; did you mean Naive\(\)"),
+        ({"algo": type("Mine", (Method,), {})()}, "the class Mine needs a `name`, as in name: ClassVar"),
         ({"algo": SAC()}, r"the method must be a name or an object of Method, not SAC\("),
     ],
 )
