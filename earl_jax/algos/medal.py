@@ -97,7 +97,6 @@ class MEDAL(Method):
 
         A backward phase clones these demonstrations only.
         """
-        assert batch.demonstrated is not None
         backward = batch.demonstrated & (batch.flags.goal >= goals.tasks) & (phase == RETURN)
         task = jax.random.randint(key, backward.shape, 0, goals.tasks)
         flags = batch.flags._replace(goal=jnp.where(backward, task, batch.flags.goal))
@@ -127,7 +126,6 @@ class MEDAL(Method):
     ) -> Classifier:
         """Return the classifier after a step, or as it is before the first backward phase."""
         assert batch is not None
-        assert batch.demonstrated is not None
         row_key, mix_key = jax.random.split(key)
         demonstrated = jnp.asarray(demonstrated_obs(env))
         positive = demonstrated[jax.random.randint(row_key, (HALF_BATCH,), 0, len(demonstrated))]

@@ -85,7 +85,6 @@ def update(
     """Return the state after a gradient step of each lane, and the `started` steps, which can be finished after it."""
     if batch is None:
         state, batch = sample(method, state, keys.sample)
-    batch = batch._replace(demonstrated=batch.row < state.replay.first_row)
     learn_lane = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, state.step))
     pending, lanes = in_step_with_host(started.pending, learn_lane(method, state.lanes, keys, batch))
     if not (method.learner.random_steps or len(demo_rows(problem, method).rows)):  # the replay is empty at first

@@ -49,9 +49,9 @@ class Transition(NamedTuple):
 class TransitionBatch(NamedTuple):
     """Sampled transitions: `row [N, B]`, `state, next_state [N, B, s]`, `action [N, B, a]`, `reward`, `flags`.
 
-    In the functions of a method, `demonstrated [N, B]`, bool, marks demonstrations, and `later [N, B, s]` are states of the
-    same lane some steps later, for methods with `later_steps`. `goal [N, B, g]` replaces the goals of `flags`, which are
-    indices, where a method learns from others.
+    `demonstrated [N, B]`, bool, marks demonstrations. `later [N, B, s]` are states of the same lane some steps later, for
+    methods with `later_steps`. `goal [N, B, g]` replaces the goals of `flags`, which are indices, where a method learns from
+    others.
     """
 
     row: jax.Array
@@ -60,7 +60,7 @@ class TransitionBatch(NamedTuple):
     next_state: jax.Array
     reward: jax.Array
     flags: TransitionFlags
-    demonstrated: jax.Array | None = None
+    demonstrated: jax.Array
     later: jax.Array | None = None
     goal: jax.Array | None = None
 
@@ -231,7 +231,7 @@ def _read(replay: Replay, rows: jax.Array) -> TransitionBatch:
     reward = replay.reward[rows, lanes] if replay.reward.shape[0] else success
     state, action = replay.state[rows, lanes], replay.action[rows, lanes]
     following = replay.state[replay.successor(rows), lanes]
-    return TransitionBatch(rows, state, action, following, reward, flags)
+    return TransitionBatch(rows, state, action, following, reward, flags, demonstrated=rows < replay.first_row)
 
 
 def later_states(replay: Replay, keys: jax.Array, rows: jax.Array, mean_steps: float) -> jax.Array:

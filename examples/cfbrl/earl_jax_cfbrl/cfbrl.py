@@ -129,7 +129,6 @@ class CFBRL(RISC):
         """
         if not env.sparse:
             return batch
-        assert batch.demonstrated is not None
         goal = jnp.asarray(goals.table)[batch.flags.goal]
         later = _later_states(jax.random.fold_in(key, 4), goals, batch)
         steps = Steps(batch.state, batch.action, batch.next_state, later, goal)
@@ -215,7 +214,6 @@ def _later_states(key: jax.Array, goals: Goals, batch: TransitionBatch) -> jax.A
     Another demonstration, which can follow in the replay, says nothing about the goals that an action serves.
     """
     assert batch.later is not None
-    assert batch.demonstrated is not None
     if not len(goals.ends):
         return batch.later
     row = later_demonstrated(goals, batch.row, jax.random.uniform(key, batch.row.shape))
