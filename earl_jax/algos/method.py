@@ -115,15 +115,14 @@ class Method(OptionsNode):
         Raises:
             ValueError: there are demonstrations to clone, and the task has none.
         """
-        learner = self.learner
-        if not learner.pretrain_steps:
+        if not self.learner.pretrain_steps:
             return agent
         if demos is None:
             raise InputError(
                 f"{self.name} needs demonstrations to clone, and {env.name} has none; use pretrain_steps=0"
             )
-        actors, _ = clone(key, learner, agent.actor, demos, learner.pretrain_steps, learner.pretrain_rate)
-        return jax.vmap(learner.with_actor)(agent, actors)
+        actors, _ = clone(key, self.learner, agent.actor, demos)
+        return jax.vmap(self.learner.with_actor)(agent, actors)
 
     def act(self, key: jax.Array, env: Env, actor: Any, obs: jax.Array, moment: Moment, method_state: Any) -> jax.Array:
         """Return the action [a] of the acting controller's `actor` at `obs [o]`, by default the learner's."""

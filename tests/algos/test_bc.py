@@ -18,10 +18,10 @@ def lane_actor(state):
 
 
 def test_cloning_lowers_the_error_on_the_demonstrations_of_each_controller(problem):
-    method, learner = tiny_method("bc", controllers=2), make_algo("bc", hidden_sizes=[16], batch_size=64).learner
-    demos = demo_steps(problem, method)
+    learner = make_algo("bc", hidden_sizes=[16], batch_size=64, pretrain_steps=150, pretrain_rate=3e-3).learner
+    demos = demo_steps(problem, tiny_method("bc", controllers=2))
     agents = jax.jit(jax.vmap(lambda key: learner.init(key, 12, 3)))(jax.random.split(jax.random.key(0), 2))
-    cloned = jax.jit(lambda key, actors: clone(key, learner, actors, demos, 150, 3e-3))
+    cloned = jax.jit(lambda key, actors: clone(key, learner, actors, demos))
     actors, losses = cloned(jax.random.key(1), agents.actor)
     assert losses.shape == (2, 150)
     assert (losses[:, -20:].mean(axis=1) < 0.6 * losses[:, 0]).all()

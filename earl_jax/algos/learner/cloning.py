@@ -26,35 +26,32 @@ class DemoSteps(NamedTuple):
         return DemoSteps(*[field[own] for field in self]) if own.any() else self
 
 
-def clone(
-    key: jax.Array, learner: Learner, actors: Any, demos: DemoSteps, steps: int, rate: Any
-) -> tuple[Any, jax.Array]:
-    """Return cloned `actors`, leaves [C, ...], and their losses [C, steps].
+def clone(key: jax.Array, learner: Learner, actors: Any, demos: DemoSteps) -> tuple[Any, jax.Array]:
+    """Return cloned `actors`, leaves [C, ...], and their losses [C, pretrain_steps].
 
-    Every actor takes `steps` Adam steps of size `rate` on `mean (pi(s, g) - a)^2`, each on `batch_size` steps of its own
-    demonstrations, drawn uniformly with replacement.
+    Every actor takes `pretrain_steps` Adam steps of size `pretrain_rate` on `mean (pi(s, g) - a)^2`, each on `batch_size`
+    steps of its own demonstrations, drawn uniformly with replacement.
     """
     count = len(jax.tree.leaves(actors)[0])
     parts = [
-        _clone_actor(own_key, learner, jax.tree.map(lambda leaf, c=c: leaf[c], actors), demos.of(c), steps, rate)
+        _clone_actor(own_key, learner, jax.tree.map(lambda leaf, c=c: leaf[c], actors), demos.of(c))
         for c, own_key in enumerate(jax.random.split(key, count))
     ]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
 
 
-def _clone_actor(
-    key: jax.Array, learner: Learner, actor: Any, demos: DemoSteps, steps: int, rate: Any
-) -> tuple[Any, jax.Array]:
-    """Return one cloned `actor` and its losses [steps]."""
+def _clone_actor(key: jax.Array, learner: Learner, actor: Any, demos: DemoSteps) -> tuple[Any, jax.Array]:
+    """Return one cloned `actor` and its losses [pretrain_steps]."""
     obs, action = jnp.asarray(demos.obs), jnp.asarray(demos.action)
 
     def step(carry, step_key):
         actor, moments = carry
         rows = jax.random.randint(step_key, (learner.batch_size,), 0, len(obs))
         loss, grads = jax.value_and_grad(cloning_loss)(actor, learner, obs[rows], action[rows])
-        return descend(actor, grads, moments, rate), loss
+        return descend(actor, grads, moments, learner.pretrain_rate), loss
 
-    (actor, _), losses = jax.lax.scan(step, (actor, ADAM.init(actor)), jax.random.split(key, steps))
+    keys = jax.random.split(key, learner.pretrain_steps)
+    (actor, _), losses = jax.lax.scan(step, (actor, ADAM.init(actor)), keys)
     return actor, losses
 
 
