@@ -17,15 +17,15 @@ class Goals(NamedTuple):
     """The static table of goals [M, g] of an env: `tasks` task goals, `initials` initial states, demonstrated states.
 
     Demonstrated states have the order of the replay's first rows; `ends [C]` is, for each of them, the index of the
-    last state of its demonstration. `requested []` is the task goal that the environment sets, negative (or None) if
-    the method draws its own.
+    last state of its demonstration. `requested []` is the task goal that the environment sets, -1 if the method draws its
+    own.
     """
 
     table: np.ndarray
     tasks: int
     initials: int
     ends: np.ndarray
-    requested: jax.Array | None = None
+    requested: jax.Array | int = -1
 
     @property
     def candidates(self) -> np.ndarray:
@@ -35,7 +35,7 @@ class Goals(NamedTuple):
     def draw_task(self, key: jax.Array) -> jax.Array:
         """Return the index of a task goal: the one that the environment sets, or a uniform draw."""
         drawn = jax.random.randint(key, (), 0, self.tasks)
-        return drawn if self.requested is None else jnp.where(self.requested >= 0, self.requested, drawn)
+        return jnp.where(self.requested < 0, drawn, self.requested)
 
 
 class GoalIndices(NamedTuple):
