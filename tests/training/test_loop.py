@@ -15,7 +15,7 @@ from earl_jax.envs import make
 from earl_jax.physics.engines import c
 from earl_jax.training import loop, scan
 from earl_jax.training.init import init_train_state
-from earl_jax.training.ordering import UNLIKELY, after
+from earl_jax.training.ordering import UNLIKELY, read_before_write
 from earl_jax.training.plan import per_lane
 from earl_jax.training.state import seed_keys
 from tests.conftest import (
@@ -233,15 +233,14 @@ def test_a_step_started_on_the_host_and_finished_later_equals_a_whole_step(door,
     assert_equal_trees(run_whole(door, method, start, CHUNK), whole)
 
 
-def test_an_order_is_a_dependency_on_every_array_that_the_compiler_keeps_and_that_changes_no_value():
-    value = jnp.array([3, -1], jnp.int32)
-    first = {"weights": jnp.full(3, 0.5), "bias": (jnp.zeros(2, bool),)}
-    lowered = jax.jit(after).lower(value, first, None)
+def test_the_next_row_depends_on_every_array_of_a_batch_as_the_compiler_keeps_it_and_stays_the_same(problem):
+    state = make_train_state(problem, tiny_method("fbrl"), [0, 1])
+    batch = {"state": jnp.full(3, 0.5), "flags": (jnp.zeros(2, bool),)}
+    row = jax.jit(lambda state, batch: read_before_write(state, batch)[0].replay.row)
+    lowered = row.lower(state, batch)
     assert lowered.as_text().partition("@main(")[2].partition("->")[0].count("%arg") == 3
     assert f"constant({{{UNLIKELY:g}}})" in lowered.compile().as_text()
-    np.testing.assert_array_equal(jax.jit(after)(value, first, None), value)
-    assert after(value, first).dtype == value.dtype
-    assert after(value, None) is value
+    assert (int(row(state, batch)), row(state, batch).dtype) == (int(state.replay.row), state.replay.row.dtype)
 
 
 def test_the_task_is_rewarded_whichever_controller_acts(env, problem):
