@@ -54,6 +54,12 @@ class Table:
         metrics = {name: values[:, :count] for name, values in self.metrics.items()}
         return dataclasses.replace(self, steps=self.steps[:count], metrics=metrics)
 
+    def extended(self, step: int, metrics: Mapping[str, np.ndarray]) -> "Table":
+        """Return the table with `metrics [N]` at `step`, in the columns of its evaluations or, without any, in theirs."""
+        earlier = self.metrics or {name: np.empty((len(values), 0)) for name, values in metrics.items()}
+        extended = {name: np.column_stack([values, metrics[name]]) for name, values in earlier.items()}
+        return dataclasses.replace(self, steps=np.append(self.steps, step), metrics=extended)
+
     @classmethod
     def read(cls, path: Path, config: RunConfig) -> "Table":
         """Return the table at `path`, which is empty if there is no file."""

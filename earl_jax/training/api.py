@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, env_class, make, with_engine, without_budget
 from earl_jax.errors import InputError, brief
@@ -204,8 +202,8 @@ def _execute(program: Program, run: Run, progress: bool, limit: TimeLimit | None
         config=run.config,
         engine=program.plan.engine,
         step=int(gathered(train_state.step)),
-        steps=np.array(run.steps, int),
-        metrics=run.metrics,
+        steps=run.table.steps,
+        metrics=run.table.metrics,
         folder=run.folder,
         train_state=train_state,
         objects=(run.env, run.method),

@@ -40,8 +40,7 @@ from earl_jax.training.stopping import Stopped, StopRequest
 class Run:
     """One of the runs of a program, with the objects of its config.
 
-    `method` has leaves [n]. `folder`, if there is one, and `listeners` receive its metrics; `evaluations` are those so far,
-    arrays [n] at each of `steps`.
+    `method` has leaves [n]. `folder`, if there is one, and `listeners` receive its metrics; `table` has those so far.
     """
 
     config: RunConfig
@@ -50,8 +49,7 @@ class Run:
     protocol: Protocol
     folder: RunFolder | None = None
     listeners: Sequence[Log] = ()
-    steps: list[int] = dataclasses.field(default_factory=list)
-    evaluations: dict[str, list[np.ndarray]] = dataclasses.field(default_factory=dict)
+    table: Table = dataclasses.field(default_factory=Table)
 
     @classmethod
     def resolve(cls, config: RunConfig, env: Env | None = None, method: Method | None = None) -> "Run":
@@ -67,9 +65,7 @@ class Run:
     @contextlib.contextmanager
     def logged(self, step: int) -> Iterator[None]:
         """Open the logs of this run at `step`; metrics of later steps are dropped and logged again."""
-        table = self.folder.table_until(step) if self.folder and first_host() else Table()
-        self.steps = table.steps.tolist()
-        self.evaluations = {name: list(values.T) for name, values in table.metrics.items()}
+        self.table = self.folder.table_until(step) if self.folder and first_host() else Table()
         unfinished = step < self.config.steps and first_host()
         self._logs = open_logs(self.folder, self.listeners, step) if unfinished else []
         try:
@@ -79,19 +75,12 @@ class Run:
                 OptionalLog(type(log).__name__, log).close()
 
     def add(self, step: int, metrics: dict[str, np.ndarray]) -> None:
-        """Write `metrics [n]` at `step` to the table and to every log and keep them, in the columns of the evaluations so far."""
+        """Write `metrics [n]` at `step` to the folder and to every log, and keep them in the table."""
         if self.folder and first_host():
             self.folder.append(step, metrics)
         for log in self._logs:
             log.log(step, {name: values.copy() for name, values in metrics.items()})
-        self.steps.append(step)
-        for name in self.evaluations or metrics:
-            self.evaluations.setdefault(name, []).append(metrics[name])
-
-    @property
-    def metrics(self) -> dict[str, np.ndarray]:
-        """The metrics [n, E] of all evaluations."""
-        return {name: np.array(values, float).T for name, values in self.evaluations.items()}
+        self.table = self.table.extended(step, metrics)
 
 
 @functools.partial(jax.jit, static_argnames=("problem", "steps", "mesh"))
@@ -144,7 +133,7 @@ class Program:
     def run(self, progress: bool, limit: TimeLimit | None) -> TrainState:
         """Return the final state of all lanes of the runs, resumed from their newest checkpoints.
 
-        Each run's metrics are added to its `evaluations` and to its folder, which also receives checkpoints of the run's
+        Each run's metrics are added to its `table` and to its folder, which also receives checkpoints of the run's
         lanes. With a `limit`, the state can be an earlier one: that after the chunk in which the time ran out, with a
         checkpoint.
 
