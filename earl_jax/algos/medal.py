@@ -26,7 +26,7 @@ _NETWORK = mlp((128,), 1)
 
 
 class Classifier(struct.PyTreeNode):
-    """The classifier's parameters with Adam's moments; loss and accuracy of its last step."""
+    """The parameters of C, a log-odds, with Adam's moments; loss and accuracy of its last step."""
 
     params: Any
     moments: Any
@@ -36,10 +36,6 @@ class Classifier(struct.PyTreeNode):
     @property
     def metrics(self) -> dict[str, jax.Array]:
         return {"classifier_loss": self.loss, "classifier_accuracy": self.accuracy}
-
-    def logits(self, params: Any, obs: jax.Array, precision: str = "tf32") -> jax.Array:
-        """Return C [B] at `obs [B, o]`: the log-odds that a state with its goal is a demonstrated one."""
-        return apply(params, obs, precision)[:, 0]
 
 
 class MEDAL(Method):
@@ -108,7 +104,7 @@ class MEDAL(Method):
         """Return the classifier's reward [B] at s', or at s where a reset overwrote s'."""
         state = jnp.where(batch.flags.no_successor[:, None], batch.state, batch.next_state)
         obs = jnp.concatenate([state, jnp.asarray(goals.table)[batch.flags.goal]], axis=-1)
-        logits = classifier.logits(classifier.params, obs, self.learner.precision)
+        logits = apply(classifier.params, obs, self.learner.precision)[:, 0]
         return -jnp.log(jax.nn.sigmoid(-logits) + SMALLEST)
 
     def init(self, key: jax.Array, env: Env, goals: Goals) -> Classifier:
@@ -142,7 +138,7 @@ class MEDAL(Method):
         obs, mixed = mix(key, jnp.concatenate([positive, negative]), label)
 
         def loss(params):
-            logits = method_state.logits(params, obs, self.learner.precision)
+            logits = apply(params, obs, self.learner.precision)[:, 0]
             agrees = (logits > 0) == (mixed > 0.5)
             return (jax.nn.softplus(logits) - mixed * logits).mean(), agrees.mean()
 

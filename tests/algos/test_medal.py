@@ -8,6 +8,7 @@ import pytest
 from earl_jax.algos import make_algo
 from earl_jax.algos.goals import goal_table
 from earl_jax.algos.learner import replay as replay_lib
+from earl_jax.algos.learner.networks import apply
 from earl_jax.algos.medal import demonstrated_obs, demos_to_clone, mix
 from earl_jax.algos.method import RETURN, TASK
 from earl_jax.training.demos import demo_rows, demo_steps
@@ -45,7 +46,7 @@ def test_the_classifier_separates_two_clouds_and_rewards_the_demonstrated_one(me
 
     after = learn_clouds(classifier)
     first = jax.jit(lambda carry: method.classify(KEYS[0], carry, clouds[0], clouds[1]))(classifier)
-    demonstrated, other = np.asarray(jax.jit(after.logits)(after.params, clouds))
+    demonstrated, other = np.asarray(jax.jit(apply)(after.params, clouds)[..., 0])
     assert (demonstrated > 0).all()
     assert (other < 0).all()
     assert float(after.loss) < float(first.loss)
@@ -65,7 +66,7 @@ def test_a_refresh_tells_the_demonstrations_from_the_sampled_states(env, medal):
 
     after = refreshed(classifier)
     own = np.concatenate([states[:1], goals.table[:1]], axis=1)
-    assert after.logits(after.params, demonstrated_obs(env)).mean() > 0 > after.logits(after.params, own)[0]
+    assert apply(after.params, demonstrated_obs(env)).mean() > 0 > apply(after.params, own)[0, 0]
 
 
 def test_mixup_takes_rows_and_labels_in_the_same_shares():
@@ -95,9 +96,9 @@ def test_the_reward_is_that_of_the_next_state_unless_a_reset_overwrote_it(medal,
     _, goals, classifier = medal
     states, goal = goals.table[5:8], np.tile(goals.table[2], (3, 1))
     for lost, state in ((False, states + 1), (True, states)):
-        logits = np.asarray(classifier.logits(classifier.params, np.concatenate([state, goal], axis=1)))
+        odds = np.asarray(apply(classifier.params, np.concatenate([state, goal], axis=1)))[:, 0]
         rewards = reward(make_batch(states, states + 1, 2, no_successor=lost), RETURN, classifier)
-        np.testing.assert_allclose(rewards, np.logaddexp(0, logits), rtol=1e-4)
+        np.testing.assert_allclose(rewards, np.logaddexp(0, odds), rtol=1e-4)
 
 
 def test_the_classifier_gets_states_of_ways_back_alone_and_waits_for_the_first_one(problem, medal):
