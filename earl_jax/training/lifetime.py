@@ -12,7 +12,7 @@ from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require, require_object
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
-from earl_jax.training.plan import Plan, per_lane, prepare
+from earl_jax.training.plan import Plan, make_plan, per_lane
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState, Warmup
 
@@ -34,7 +34,7 @@ def lifetime(
 
     Raises:
         ValueError: `problem` or `method` is another object, such as a name; `steps` is missing, traced or inconsistent
-            with the protocol; `keys` does not have one axis; or as in `check_method` and `prepare`.
+            with the protocol; `keys` does not have one axis; or as in `check_method` and `make_plan`.
     """
     require_object("problem", problem, Problem, or_name=False)
     require_object("method", method, Method, or_name=False)
@@ -44,7 +44,7 @@ def lifetime(
         raise InputError("keys must have one axis, a key for each seed: jax.random.split(key, number)")
     lanes, every = keys.shape[0], problem.protocol.eval_every
     method = per_lane(method, lanes)
-    plan = prepare(problem, method, lanes, steps)
+    plan = make_plan(problem, method, lanes, steps)
     state = init_train_state(problem, method, keys, steps)
     state, metrics = jax.lax.scan(functools.partial(_window, plan, method), state, jnp.arange(steps // every))
     return state, jax.tree.map(jnp.transpose, metrics)

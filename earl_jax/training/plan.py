@@ -57,7 +57,7 @@ class Plan:
         return [step < self.random_steps for step in steps]
 
 
-def prepare(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
+def make_plan(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
     """Return the plan of a program with `lanes` lanes on `devices` devices, as in `lane_mesh`.
 
     A `RunWarning` says so if the method learns in none of the `steps`, if the chunks make its refreshes more frequent, or

@@ -29,7 +29,7 @@ from earl_jax.runs.table import Table
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import check_lanes, init_train_state
-from earl_jax.training.plan import join_lanes, per_lane, prepare
+from earl_jax.training.plan import join_lanes, make_plan, per_lane
 from earl_jax.training.program_cache import keep_programs
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem, TrainState, seed_keys
@@ -112,13 +112,13 @@ class Program:
     Their rules (H_T, settings) can differ, because lanes carry them as arrays, so the plan's protocol has none.
 
     Raises:
-        ValueError: as `prepare`.
+        ValueError: as `make_plan`.
     """
 
     def __init__(self, runs: Sequence[Run], devices: int | None):
         first, lanes, method = runs[0], sum(run.lanes for run in runs), join_lanes([run.method for run in runs])
         problem = Problem(for_lanes(first.env, lanes), first.protocol.without_rules)
-        self._runs, self.plan = runs, prepare(problem, method, lanes, first.config.steps, devices)
+        self._runs, self.plan = runs, make_plan(problem, method, lanes, first.config.steps, devices)
         require_same_on_hosts([run.config.values for run in runs], self.plan.engine, devices)
         self._method = placed(method, self.plan.mesh)
 

@@ -7,7 +7,7 @@ from earl_jax.algos import make_algo
 from earl_jax.algos.learner.cloning import clone, cloning_loss
 from earl_jax.envs import TaskDemos
 from earl_jax.training.demos import demo_steps
-from earl_jax.training.plan import prepare
+from earl_jax.training.plan import make_plan
 from tests.algos.lives import OPTIONS, lived
 from tests.conftest import assert_equal_trees, make_train_state, take_lane, tiny_method
 
@@ -45,7 +45,7 @@ def test_bc_has_no_random_steps_unless_asked_and_clones_inside_the_first_program
     assert make_algo("bc").learner.random_steps == 0
     assert make_algo("bc", random_steps=20).learner.random_steps == 20
     assert make_algo("naive").learner.random_steps == 1000
-    assert prepare(problem, tiny_method("bc", random_steps=0), 2, 120).random_steps == 0
+    assert make_plan(problem, tiny_method("bc", random_steps=0), 2, 120).random_steps == 0
     method, cloned, _ = lived("bc")
     demos, blank = demo_steps(problem, method), make_train_state(problem, tiny_method("naive"), [0, 1])
     error = jax.jit(lambda actor: cloning_loss(actor, method.learner, demos.obs, demos.action))

@@ -9,12 +9,12 @@ from earl_jax.algos import SAC, Method, Phase, make_algo
 from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.runs.files import RunWarning
-from earl_jax.training.plan import join_lanes, per_lane, prepare, program_structure
+from earl_jax.training.plan import join_lanes, make_plan, per_lane, program_structure
 from tests.conftest import make_problem, tiny_method
 
 
 def test_the_chunks_to_the_next_evaluation_are_warm_up_until_the_random_steps_end(problem):
-    plan = prepare(problem, tiny_method("naive", random_steps=50), lanes=2, steps=120)
+    plan = make_plan(problem, tiny_method("naive", random_steps=50), lanes=2, steps=120)
     assert plan.chunk_steps == 10
     assert plan.warmups(0) == [True] * 4
     assert plan.warmups(40) == [True, False, False, False]
@@ -28,7 +28,7 @@ def test_the_chunks_to_the_next_evaluation_are_warm_up_until_the_random_steps_en
 )
 def test_a_chunk_divides_both_and_is_short_enough_to_stop_after(problem, random_steps, every, chunk_steps):
     problem = dataclasses.replace(problem, protocol=dataclasses.replace(problem.protocol, eval_every=every))
-    plan = prepare(problem, tiny_method("naive", random_steps=random_steps), lanes=2, steps=every)
+    plan = make_plan(problem, tiny_method("naive", random_steps=random_steps), lanes=2, steps=every)
     assert plan.chunk_steps == chunk_steps
 
 
@@ -40,7 +40,7 @@ def test_a_method_has_as_many_controllers_as_the_replay_has_parts(problem):
         phases = tuple(Phase((), controller=number) for number in range(3))
 
     with pytest.raises(ValueError, match="crowd has 3 controllers, and the replay has parts for 2"):
-        prepare(problem, per_lane(Crowd(SAC(random_steps=20)), 2), lanes=2, steps=120)
+        make_plan(problem, per_lane(Crowd(SAC(random_steps=20)), 2), lanes=2, steps=120)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_a_method_has_as_many_controllers_as_the_replay_has_parts(problem):
 def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_them(algo, options, purpose):
     problem = make_problem(make("fish_swim"), eval_every=40)
     with pytest.raises(InputError, match=f"{algo} needs demonstrations{purpose}, and fish_swim has none"):
-        prepare(problem, tiny_method(algo, **options), lanes=2, steps=120)
+        make_plan(problem, tiny_method(algo, **options), lanes=2, steps=120)
 
 
 @pytest.mark.filterwarnings("error")
@@ -82,8 +82,8 @@ def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_the
 def test_what_the_options_of_a_run_do_not_say_is_warned_of(task, algo, options, changes, message):
     problem = make_problem(make(task), eval_every=40)
     with pytest.warns(RunWarning, match=message):
-        prepare(problem, tiny_method(algo, **options), lanes=2, steps=120)
-    prepare(problem, tiny_method(algo, **changes), lanes=2, steps=120)
+        make_plan(problem, tiny_method(algo, **options), lanes=2, steps=120)
+    make_plan(problem, tiny_method(algo, **changes), lanes=2, steps=120)
 
 
 def test_integer_leaves_become_floats_and_flags_stay_flags():
