@@ -46,7 +46,7 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     for option, value in options.items():
         if option not in known:
             names = [*sorted({*known, "learner"}), *FIELDS]
-            raise _unknown_option(f"method {name!r}", option, value, names, name)
+            raise _unknown_option(name, option, value, names)
     options = {option: _leaf(known[option], value) for option, value in options.items()}
     changed = {option: value for option, value in options.items() if option in shared}
     check(f"method {name!r}", type(base), changed)
@@ -54,14 +54,14 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     return ALGOS.make(name, learner=base.replace(**changed), **rest)
 
 
-def _unknown_option(owner: str, option: str, value: Any, known: Sequence[str], name: str) -> InputError:
+def _unknown_option(name: str, option: str, value: Any, known: Sequence[str]) -> InputError:
     """Return the error of an `option` that the method `name` lacks: the fix, or the nearest `known` names and where all are.
 
     Names that are `known` and no options are those of the schedule.
     """
     from difflib import get_close_matches
 
-    one = brief(value)
+    owner, one = f"method {name!r}", brief(value)
     if option == "seeds" or option in known:
         flag = option.replace("_", "-")
         return InputError(
