@@ -49,7 +49,7 @@ def start(task: Task, slot: Slot) -> subprocess.Popen[str]:
 
 
 def events(worker: subprocess.Popen[str]) -> Iterator[Event]:
-    """Yield the events of `worker` until it ends; other lines of its output go to stderr."""
+    """Yield the events of `worker` until it ends; other lines of its output, but for blank ones, go to stderr."""
     assert worker.stdout is not None
     for line in worker.stdout:
         try:
@@ -58,7 +58,7 @@ def events(worker: subprocess.Popen[str]) -> Iterator[Event]:
             event = None
         if isinstance(event, dict) and event.keys() in EVENTS:
             yield event
-        else:
+        elif line.strip():
             sys.stderr.write(line)  # as a whole, because other workers write too
 
 

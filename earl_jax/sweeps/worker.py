@@ -265,4 +265,4 @@ def _train(task: dict[str, Any]) -> int:
 
 
 def _print(**event: Any) -> None:
-    print(json.dumps(event), flush=True)
+    print(f"\n{json.dumps(event)}", flush=True)  # the code of a user can leave a line without an end

@@ -223,8 +223,13 @@ def test_a_grid_can_come_from_a_file_at_stdin(grid, tmp_path, monkeypatch):
     assert plan["grid"] == str(grid.resolve())
 
 
-def test_a_file_in_the_current_folder_replaces_no_module_of_a_worker(grid, tmp_path, monkeypatch):
+def test_neither_a_file_in_the_current_folder_nor_output_without_a_line_end_disturbs_a_worker(
+    grid, tmp_path, monkeypatch
+):
     (tmp_path / "json.py").write_text("raise RuntimeError")
+    with write_mine(tmp_path).open("a") as mine:
+        mine.write("print('reading ...', end='', flush=True)")
+    grid.write_text('import = "mine.py"\n' + grid.read_text())
     monkeypatch.chdir(tmp_path)
     assert len(launcher.plan_sweep(grid, tmp_path / "out")["groups"]) == 1
 

@@ -224,7 +224,7 @@ def test_all_runs_of_a_sweep_are_of_one_text(tmp_path, grid, capsys, registries)
     assert {tuple(config["imports"][0].items()) for config in task["runs"].values()} == {tuple(record.items())}
     mine.write_text(f"{MINE}# edited\n")
     assert worker.serve(task) == 2
-    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    events = [json.loads(line) for line in capsys.readouterr().out.split("\n\n")]
     assert {event["state"] for event in events} == {"failed"}
     detail = events[0]["detail"]
     assert f"{mine} has changed since this command first read it (sha256 {record['sha256'][:8]} then" in detail
