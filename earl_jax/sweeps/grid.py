@@ -18,7 +18,7 @@ from earl_jax.options import imports
 from earl_jax.options.presets import Preset, named_preset
 from earl_jax.options.schedule import FIELDS, Schedule
 from earl_jax.options.seeds import seed_list
-from earl_jax.options.values import parse_number
+from earl_jax.options.values import check_storable, parse_number
 
 KEYS = ("preset", "envs", "algos", "seeds", *FIELDS, "options")
 MOST_RUNS = 10_000
@@ -117,6 +117,8 @@ def options_of(block: dict[str, Any]) -> dict[str, Any]:
     options = block.get("options", {})
     if not isinstance(options, dict):
         raise InputError("options must be a table: [options]")
+    for name, value in options.items():
+        check_storable(f"option {name}", value)
     return options
 
 
