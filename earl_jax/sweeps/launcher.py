@@ -123,8 +123,11 @@ def plan_sweep(grid: Path, out: Path, max_lanes: int | None = None, logs: Sequen
     if max_lanes is not None:
         require("max_lanes", max_lanes, COUNT)
     files = [{**record, "file": os.path.abspath(record["file"])} for record in imports.records()]
-    grid = Path(grid).resolve() if Path(grid).is_relative_to("/dev") else grid  # a worker's /dev/stdin is another file
-    task = {"grid": str(grid), "out": str(out), "max_lanes": max_lanes, "logs": logs, "imports": files}
+    path = Path(grid)
+    if path.is_relative_to("/dev"):  # a worker's /dev/stdin is another file
+        own = Path(f"/proc/{os.getpid()}/fd", path.name.replace("stdin", "0"))
+        path = own if path.is_fifo() else path.resolve()
+    task = {"grid": str(path), "out": str(out), "max_lanes": max_lanes, "logs": logs, "imports": files}
     with start(task, Slot(variables={"JAX_PLATFORMS": "cpu"})) as planner:
         reply: Event = next(events(planner), {"detail": "the planner ended without a plan; its error is above"})
     if "plan" not in reply:

@@ -4,14 +4,14 @@ import itertools
 import json
 import os
 import signal
+import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from earl_jax.sweeps import launcher, processes
-from tests.cli.process import one_line, run, run_code, run_process, start, succeed, wait_until
+from tests.cli.process import ENVIRONMENT, one_line, run, run_code, run_process, start, succeed, wait_until
 from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
@@ -208,19 +208,12 @@ def test_options_that_a_sweep_cannot_have_are_refused_before_anything_starts(gri
     assert not list(folder.iterdir())
 
 
-def test_a_grid_can_come_from_a_file_at_stdin(grid, tmp_path, monkeypatch):
-    """The worker has a pipe at /dev/stdin, and used to wait for its end."""
-    reply = 'print(json.dumps({"state": "planned", "plan": json.loads(sys.stdin.readline())}))'
-    monkeypatch.setattr(processes, "WORKER", [sys.executable, "-c", f"import json, sys; {reply}"])
-    saved = os.dup(0)
+def test_a_grid_can_come_from_a_file_or_a_pipe_at_stdin(grid, tmp_path):
+    """The worker has another pipe at /dev/stdin, and used to wait for its end."""
+    command = [sys.executable, "-m", "earl_jax.cli", "sweep", "/dev/stdin", "--out", tmp_path, "--dry-run"]
     with grid.open() as file:
-        os.dup2(file.fileno(), 0)
-    try:
-        plan = launcher.plan_sweep(Path("/dev/stdin"), tmp_path / "out")
-    finally:
-        os.dup2(saved, 0)
-        os.close(saved)
-    assert plan["grid"] == str(grid.resolve())
+        for source in ({"stdin": file}, {"input": GRID.encode()}):
+            assert b"programs to run: 1" in subprocess.check_output(command, env=ENVIRONMENT, **source)
 
 
 def test_neither_a_file_in_the_current_folder_nor_output_without_a_line_end_disturbs_a_worker(
