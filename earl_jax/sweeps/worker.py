@@ -232,6 +232,13 @@ def serve(task: dict[str, Any]) -> int:
     `max_lanes` and the `logs` of its runs; runs can have the other arguments of `work` by name.
     """
     gc.set_threshold(100_000, 50, 50)  # as on the command line
+    failed: list[str] = []
+
+    def emit(name: str, state: str, detail: str) -> None:
+        if state == "failed":
+            failed.append(name)
+        _print(run=name, state=state, detail=detail)
+
     try:
         for record in task.get("imports", ()):
             imports.note(**record)
@@ -240,24 +247,14 @@ def serve(task: dict[str, Any]) -> int:
             check_logs(task.get("logs", ()))
             _print(state="planned", plan=plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"]))
             return 0
+        configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
     except Exception as error:
-        failed = [{"run": name, "state": "failed"} for name in task.get("runs", ())]
-        for event in [{"state": "refused"}] if "grid" in task else failed:
-            _print(**event, detail=_cause(error))
+        cause = _cause(error)
+        if "grid" in task:
+            _print(state="refused", detail=cause)
+        for name in task.get("runs", ()):
+            emit(name, "failed", cause)
         return len(failed)
-    return _train(task)
-
-
-def _train(task: dict[str, Any]) -> int:
-    """Train the runs of `task`, print every event and return how many failed."""
-    failed: list[str] = []
-
-    def emit(name: str, state: str, detail: str) -> None:
-        if state == "failed":
-            failed.append(name)
-        _print(run=name, state=state, detail=detail)
-
-    configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
     options = {name: task[name] for name in ("progress", "devices", "logs") if name in task}
     limit = TimeLimit(*task["limit"]) if task.get("limit") else None
     work(Path(task["out"]), configs, emit, limit=limit, **options)
