@@ -76,9 +76,9 @@ def replacing(path: Path) -> Iterator[None]:
     Raises:
         ValueError: the file is one of a run, which would be lost, or a folder is there.
     """
-    from earl_jax.runs.contents import CONFIG, FILES
+    from earl_jax.runs.contents import FILES, is_run
 
-    if path.name in FILES and (path.parent / CONFIG).is_file():
+    if path.name in FILES and is_run(path.parent):
         raise InputError(f"{path} is a file of a run; choose another name")
     if path.is_dir():
         raise InputError(f"{path} is a folder; choose the name of a file")

@@ -95,7 +95,7 @@ def export(
         direction: Direction of the demonstrations of a task. By default forward.
     """
     from earl_jax.adapters import minari
-    from earl_jax.rendering.actors import is_run
+    from earl_jax.runs.contents import is_run
     from earl_jax.runs.folder import RunFolder
     from earl_jax.training import load_transitions
 

@@ -16,6 +16,7 @@ from earl_jax.errors import InputError, require_known
 from earl_jax.options.seeds import lane_of
 from earl_jax.options.values import SEED, require
 from earl_jax.rendering.scenes import view_of
+from earl_jax.runs.contents import is_run
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import Policy, load_policies, pretrained, pretrained_env, select_seed
 
@@ -78,11 +79,6 @@ def actor_of(
     if chosen not in actors:
         raise InputError(f"{source} has no acting {acting!r}; choose from {', '.join(actors)}")
     return actors[chosen]
-
-
-def is_run(source: str | Path) -> bool:
-    """Return whether `source` is a run folder."""
-    return (Path(str(source)) / "config.json").is_file()
 
 
 def _env_and_policy(source: str | Path, seed: int | None, method: str | None) -> tuple[Env, Policy | None]:

@@ -11,10 +11,11 @@ from earl_jax.envs import PAPER_TASKS
 from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, Interval, require
-from earl_jax.rendering.actors import actor_of, is_run
+from earl_jax.rendering.actors import actor_of
 from earl_jax.rendering.output import SUPERSAMPLING, library, write_film, write_sheet
 from earl_jax.rendering.scenes import Scene, checked_size
 from earl_jax.rendering.shots import MOMENTS, frames, moments, portraits
+from earl_jax.runs.contents import is_run
 
 ALL = "all"
 """The source that stands for the paper's six tasks."""

@@ -15,7 +15,7 @@ from earl_jax.metrics.scores import DEFAULT, Window, require_window
 from earl_jax.report.runs import Columns, Curves, by_method, by_values, read
 from earl_jax.report.scores import over_same_steps, seed_scores
 from earl_jax.runs.config import DEPLOYED, RunConfig
-from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS
+from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, is_run
 from earl_jax.runs.files import RunWarning
 
 Check = Callable[[Curves], Any]
@@ -42,7 +42,7 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
     for folder in folders:
         if not folder.is_dir():
             raise InputError(f"{folder} is not a folder")
-        below = [folder] if (folder / CONFIG).is_file() else list(_runs_below(folder))
+        below = [folder] if is_run(folder) else list(_runs_below(folder))
         if not below:
             raise InputError(f"{folder} is not a run folder and holds none: no {CONFIG} in it or below")
         for path in below:
@@ -55,9 +55,7 @@ def _runs_below(folder: Path) -> Iterator[Path]:
         folders[:] = sorted(set(folders) - {CHECKPOINTS})
         if CONFIG in files or METRICS in files:
             yield Path(path)
-        yield from (
-            link for link in map(Path(path).joinpath, folders) if link.is_symlink() and (link / CONFIG).is_file()
-        )
+        yield from (link for link in map(Path(path).joinpath, folders) if link.is_symlink() and is_run(link))
 
 
 def _warn_of_unread(error: OSError) -> None:

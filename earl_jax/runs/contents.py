@@ -31,6 +31,11 @@ REMOVED = (CHECKPOINTS, TENSORBOARD, VIDEOS, POLICIES, METRICS, *(name + PART fo
 """What a new run in the place of an earlier one removes, in an order in which a kill leaves no half run."""
 
 
+def is_run(path: str | Path) -> bool:
+    """Return whether `path` is a run folder, which has a config."""
+    return Path(str(path), CONFIG).is_file()
+
+
 def has_results(path: Path) -> bool:
     """Return whether a run in the folder at `path` has rows of metrics, policies or checkpoints."""
     if (path / POLICIES).exists() or saved_steps(path / CHECKPOINTS):

@@ -226,7 +226,7 @@ def _require_free(path: Path, overwrite: bool) -> None:
     if not isinstance(overwrite, bool):
         raise InputError(f"overwrite must be True or False, not {brief(overwrite)}")
     in_the_way = contents.has_results(path) and not overwrite
-    if in_the_way and (path / CONFIG).is_file():
+    if in_the_way and contents.is_run(path):
         raise InputError(
             f"{path} holds another run; choose another folder, continue it with: {resume_command(path)}, "
             "or replace it with --overwrite (in Python, overwrite=True)"

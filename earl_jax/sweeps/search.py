@@ -17,7 +17,7 @@ from earl_jax.metrics.scores import final_scores
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, TimeLimit, require
 from earl_jax.runs.config import RunConfig
-from earl_jax.runs.contents import CONFIG
+from earl_jax.runs.contents import is_run
 from earl_jax.runs.files import check_folder, check_kind, locked
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import grid
@@ -144,7 +144,7 @@ class Search:
         configs: dict[str, RunConfig] = {}
         for spec in specs:
             path = self.out / spec.name
-            if (path / CONFIG).is_file():  # an equal trial may be longer
+            if is_run(path):  # an equal trial may be longer
                 steps = max(spec.schedule.steps, RunFolder.open(path).config.steps)
                 spec = dataclasses.replace(spec, schedule=spec.schedule.changed(steps=steps))
             configs[spec.name] = planned_run(spec, self.out).run.config
@@ -202,7 +202,7 @@ def _rung_steps(schedule: Schedule, rungs: int) -> tuple[int, ...]:
 
 def _score(path: Path, steps: int) -> float | None:
     """Return the mean over seeds of the deployed scores of the run at `path` at `steps`; None if it is not there."""
-    if not (path / CONFIG).is_file():
+    if not is_run(path):
         return None
     folder = RunFolder.open(path)
     table = folder.table().until(steps)
