@@ -30,7 +30,10 @@ def with_overlay(name: str) -> Any:
     overlay = path.parent.parent / "overlays" / path.name
     if not overlay.is_file():
         return mujoco.MjModel.from_xml_path(str(path))
-    tree = merge(_with_includes(path), _with_includes(overlay))
+    try:
+        tree = merge(_with_includes(path), _with_includes(overlay))
+    except ET.ParseError as error:
+        raise InputError(f"{path} or {overlay}, with the files that they include, is not XML: {error}") from error
     spec = mujoco.MjSpec.from_string(ET.tostring(tree, encoding="unicode"))
     spec.modelfiledir = str(path.parent)  # for the files of meshes and textures
     return spec.compile()
@@ -42,7 +45,7 @@ def _with_includes(path: Path) -> ET.Element:
     for parent in root.iter():
         while (include := parent.find("include")) is not None:
             index = list(parent).index(include)
-            parent[index : index + 1] = list(ET.parse(path.parent / include.attrib["file"]).getroot())
+            parent[index : index + 1] = list(ET.parse(path.parent / include.get("file", "")).getroot())
     return root
 
 
@@ -95,7 +98,7 @@ def _keep_last(model: ET.Element) -> None:
 def _aim_cameras(overlay: ET.Element) -> None:
     """Replace the attribute `at` of cameras, the point they look at, by the axes that MJCF needs; z points up."""
     for camera in [camera for camera in overlay.iter("camera") if camera.get("at")]:
-        position, at = (np.array(text.split(), float) for text in (camera.attrib["pos"], camera.attrib.pop("at")))
+        position, at = (np.array(text.split(), float) for text in (camera.get("pos", "0 0 0"), camera.attrib.pop("at")))
         right = np.cross(at - position, [0.0, 0.0, 1.0])
         up = np.cross(right, at - position)
         camera.set("xyaxes", " ".join(f"{number:.6g}" for number in (*right, *up)))
@@ -108,6 +111,8 @@ def _scale_meshes(overlay: ET.Element) -> None:
     for geom in [geom for geom in overlay.iter("geom") if geom.get("mesh") and geom.get("size")]:
         scale = geom.attrib.pop("size")
         name = f"{geom.get('mesh')} {scale}"
+        if geom.get("mesh") not in meshes:
+            raise InputError(f"the overlay scales the mesh {geom.get('mesh')!r}, and has none of that name")
         if name not in meshes:
             original = meshes[geom.get("mesh")].attrib
             meshes[name] = ET.SubElement(copies, "mesh", {**original, "name": name, "scale": scale})

@@ -54,21 +54,25 @@ MODEL = mjcf(
 )
 
 
-def test_replace_hides_the_geoms_of_the_model():
+def test_replace_hides_the_geoms_of_the_model_and_a_camera_looks_at_a_point():
     overlay = '<worldbody replace="true"><geom size="4"/></worldbody><body name="hand"><geom size="5"/></body>'
     merged = merge(MODEL, mjcf(overlay))
     groups = {geom.get("size"): geom.get("group") for geom in merged.iter("geom")}
     assert groups == {"1": "3", "2": "3", "3": None, "4": None, "5": None}
     assert [geom.get("size") for geom in merged.find(".//body").findall("geom")] == ["3", "5"]
     assert MODEL.find("worldbody/geom").get("group") is None
+    camera = merge(MODEL, mjcf('<worldbody><camera at="0 1 0"/></worldbody>')).find(".//camera[@xyaxes]")
+    assert camera.get("xyaxes") == "1 0 0 0 0 1"
 
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 
 
-def test_an_overlay_of_an_unknown_body_is_refused():
+def test_an_overlay_of_an_unknown_body_or_mesh_is_refused():
     with pytest.raises(ValueError, match="the body 'foot', but the model has none"):
         merge(MODEL, mjcf('<body name="foot"/>'))
+    with pytest.raises(ValueError, match="the mesh 'cube', and has none"):
+        merge(MODEL, mjcf('<worldbody><geom mesh="cube" size="1 1 1"/></worldbody>'))
 
 
 def test_a_model_outside_the_package_takes_the_overlay_beside_its_folder_and_keeps_its_meshes(tmp_path):
@@ -86,3 +90,7 @@ def test_a_model_outside_the_package_takes_the_overlay_beside_its_folder_and_kee
     overlay = tmp_path / "overlays" / "ball.xml"
     overlay.write_text(f'<mujoco>{defaults}<body name="ball"><geom size=".5"/></body></mujoco>')
     assert [with_overlay(str(path)).ngeom for path in (model, copy)] == [3, 2]
+    overlay.write_text("<mujoco>")
+    with_overlay.cache_clear()
+    with pytest.raises(ValueError, match=r"ball\.xml, with the files that they include, is not XML: no element"):
+        with_overlay(str(model))
