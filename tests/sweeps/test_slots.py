@@ -114,10 +114,7 @@ def test_programs_on_a_gpu_share_its_memory_and_keep_the_users_variables(slot, i
     environment = slot.environment(inherited)
     assert environment.items() >= {**expected, "CUDA_VISIBLE_DEVICES": "1"}.items()
     assert environment[slots.PER_DEVICE] == str(slot.per_device)
-
-
-def test_a_program_on_a_cpu_keeps_its_platform():
-    assert slots.Slot(None, (0,), 2).environment({}) == {slots.PER_DEVICE: "2"}
+    assert slots.Slot(None, (0,), 2).environment({}) == {slots.PER_DEVICE: "2"}, "without a GPU"
 
 
 def test_auto_takes_the_largest_gain_for_the_cores(monkeypatch):
