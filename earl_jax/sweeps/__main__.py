@@ -1,6 +1,6 @@
 """The process of a worker, `python -m earl_jax.sweeps [FILE LINE]`: it reads a task of the launcher and prints what happens.
 
-The task is one line of JSON, and so is each event. Without a file it comes from stdin, a pipe that the launcher holds open:
+The task is one line of JSON. Without a file it comes from stdin, a pipe that the launcher holds open:
 the worker ends with it.
 """
 
@@ -14,6 +14,7 @@ from pathlib import Path
 from earl_jax.options.environment import start_failure
 from earl_jax.runs.files import format_warning
 from earl_jax.runs.streams import lasting_streams
+from earl_jax.sweeps.processes import report
 
 
 def main() -> int:
@@ -38,7 +39,7 @@ def main() -> int:
         except Exception as error:
             if not (cause := start_failure(error)):
                 raise
-            print(json.dumps({"state": "refused", "detail": cause}))
+            report(state="refused", detail=cause)
             return 2
 
 

@@ -24,8 +24,13 @@ Task = dict[str, Any]
 """What a worker reads: a `grid` to plan, or the configs of `runs` to train, as `worker.serve` takes them."""
 Event = dict[str, Any]
 """What a worker prints: the `state` of a `run` with a `detail`, the step or why it failed; or the `plan` of a grid."""
-EVENTS = ({"run", "state", "detail"}, {"state", "plan"}, {"state", "detail"})
-"""The keys of the events of a run, of a grid that is planned, and of one that is refused."""
+MARK = "\x1e"
+"""Begins an event, as in RFC 7464, because other output can stand before it on the line."""
+
+
+def report(**event: Any) -> None:
+    """Print `event`, in the process of a worker."""
+    print(f"{MARK}{json.dumps(event)}", flush=True)
 
 
 def start(task: Task, slot: Slot) -> subprocess.Popen[str]:
@@ -49,17 +54,13 @@ def start(task: Task, slot: Slot) -> subprocess.Popen[str]:
 
 
 def events(worker: subprocess.Popen[str]) -> Iterator[Event]:
-    """Yield the events of `worker` until it ends; other lines of its output, but for blank ones, go to stderr."""
+    """Yield the events of `worker` until it ends; its other output goes to stderr."""
     assert worker.stdout is not None
     for line in worker.stdout:
-        try:
-            event = json.loads(line)
-        except json.JSONDecodeError:
-            event = None
-        if isinstance(event, dict) and event.keys() in EVENTS:
-            yield event
-        elif line.strip():
-            sys.stderr.write(line)  # as a whole, because other workers write too
+        output, mark, event = line.partition(MARK)
+        sys.stderr.write(output)  # as a whole, because other workers write too
+        if mark and event.endswith("\n"):  # a kill can cut the last one
+            yield json.loads(event)
 
 
 class Workers:

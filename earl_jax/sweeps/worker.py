@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import gc
-import json
 import traceback
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
@@ -24,6 +23,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs
 from earl_jax.runs.policies import policies_step
 from earl_jax.sweeps import grid
+from earl_jax.sweeps.processes import report
 from earl_jax.training import memory, split_options
 from earl_jax.training.api import require_checkpoint
 from earl_jax.training.init import demo_rows
@@ -226,7 +226,7 @@ def _cause(error: Exception) -> str:
 
 
 def serve(task: dict[str, Any]) -> int:
-    """Plan the `grid` of `task`, or train its `runs`; print the plan or every event as a line of JSON, and return the failures.
+    """Plan the `grid` of `task`, or train its `runs`; report the plan or every event, and return the number of failures.
 
     Both have the folder `out`, and `imports`, the files that the process runs first, if they have not changed. A grid has
     `max_lanes` and the `logs` of its runs; runs can have the other arguments of `work` by name.
@@ -237,7 +237,7 @@ def serve(task: dict[str, Any]) -> int:
     def emit(name: str, state: str, detail: str) -> None:
         if state == "failed":
             failed.append(name)
-        _print(run=name, state=state, detail=detail)
+        report(run=name, state=state, detail=detail)
 
     try:
         for record in task.get("imports", ()):
@@ -245,13 +245,13 @@ def serve(task: dict[str, Any]) -> int:
         imports.run_noted()
         if "grid" in task:
             check_logs(task.get("logs", ()))
-            _print(state="planned", plan=plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"]))
+            report(state="planned", plan=plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"]))
             return 0
         configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
     except Exception as error:
         cause = _cause(error)
         if "grid" in task:
-            _print(state="refused", detail=cause)
+            report(state="refused", detail=cause)
         for name in task.get("runs", ()):
             emit(name, "failed", cause)
         return len(failed)
@@ -259,7 +259,3 @@ def serve(task: dict[str, Any]) -> int:
     limit = TimeLimit(*task["limit"]) if task.get("limit") else None
     work(Path(task["out"]), configs, emit, limit=limit, **options)
     return len(failed)
-
-
-def _print(**event: Any) -> None:
-    print(f"\n{json.dumps(event)}", flush=True)  # the code of a user can leave a line without an end

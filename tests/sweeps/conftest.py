@@ -27,14 +27,15 @@ NAMES = [f"tabletop_organization/oracle/{OPTIONS},reward_scale={scale}" for scal
 WORKER = """
 import json, os, signal, sys, time
 from pathlib import Path
+from earl_jax.sweeps.processes import report
 folder, groups, task = Path(FOLDER), GROUPS, json.loads(sys.stdin.readline())
 if "grid" in task:
     runs = [{name: {"env": "sawyer_door"} for name in names} for names in groups]
     groups = [{"runs": named, "lanes": 1, "step": 0, "steps": 40, "replay_bytes": 0} for named in runs]
-    print(json.dumps({"state": "planned", "plan": {"out": task["out"], "imports": [], "finished": ["z"], "groups": groups}}))
+    report(plan={"out": task["out"], "imports": [], "finished": ["z"], "groups": groups})
     sys.exit()
 name = list(task["runs"])[0]
-emit = lambda state, detail="": print(json.dumps({"run": name, "state": state, "detail": detail}), flush=True)
+emit = lambda state, detail="": report(run=name, state=state, detail=detail)
 (folder / name).write_text(str(os.getpid()))
 """
 MPS_CONTROL = """#!/bin/sh

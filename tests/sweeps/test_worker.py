@@ -19,6 +19,7 @@ from earl_jax.envs import make
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.sweeps import __main__ as process, worker
+from earl_jax.sweeps.processes import MARK
 from earl_jax.training import load_lanes, memory, runner
 from tests.conftest import MINE, assert_equal_trees, tiny_method, tiny_train, write_mine
 from tests.sweeps.conftest import GRID, NAMES
@@ -83,7 +84,7 @@ def test_runs_logs_and_folders_that_are_invalid_are_refused_in_one_line_before_a
         grid.write_text(GRID.replace(*change))
     worker.serve(task)
     printed = capsys.readouterr()
-    event = json.loads(printed.out)
+    event = json.loads(printed.out.strip(MARK))
     assert event["state"] == "refused"
     assert re.search(message, event["detail"])
     assert (printed.err, len(event["detail"].splitlines())) == ("", 1)
@@ -224,7 +225,7 @@ def test_all_runs_of_a_sweep_are_of_one_text(tmp_path, grid, capsys, registries)
     assert {tuple(config["imports"][0].items()) for config in task["runs"].values()} == {tuple(record.items())}
     mine.write_text(f"{MINE}# edited\n")
     assert worker.serve(task) == 2
-    events = [json.loads(line) for line in capsys.readouterr().out.split("\n\n")]
+    events = [json.loads(text) for text in capsys.readouterr().out.split(MARK)[1:]]
     assert {event["state"] for event in events} == {"failed"}
     detail = events[0]["detail"]
     assert f"{mine} has changed since this command first read it (sha256 {record['sha256'][:8]} then" in detail
@@ -240,7 +241,7 @@ def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, 
         if "damaged" in message:
             folder.config_file.write_text("{}")
         assert worker.serve({"out": str(tmp_path), "runs": {NAMES[0]: fields}}) == 1
-    event = json.loads(capsys.readouterr().out)
+    event = json.loads(capsys.readouterr().out.strip(MARK))
     assert (event["run"], event["state"]) == (NAMES[0], "failed")
     assert message in event["detail"]
 
@@ -265,7 +266,7 @@ def test_a_worker_of_an_array_takes_a_line_of_a_file_and_fails_with_its_runs(tmp
     monkeypatch.setattr(sys, "argv", ["worker", str(tmp_path / "tasks"), "1"])
     monkeypatch.setattr(worker, "RunConfig", lambda **fields: None)
     assert process.main() == 1
-    assert json.loads(capsys.readouterr().out)["run"] == "b"
+    assert json.loads(capsys.readouterr().out.strip(MARK))["run"] == "b"
 
 
 BUSY = """
