@@ -41,10 +41,7 @@ class RunSpec:
 
     @property
     def name(self) -> str:
-        """Folder of the run in the folder of the sweep. It depends on the task, the method and the options alone.
-
-        The part of the options is readable if possible, and the same for the same options.
-        """
+        """Folder of the run in that of the sweep. It depends on the task, the method and the options alone."""
         exact = ",".join(f"{name}={_text(value)}" for name, value in sorted(self.options.items())) or "default"
         safe = re.sub(r"[^A-Za-z0-9._=,+-]", "_", exact)
         if safe != exact or len(safe) > LONGEST:

@@ -151,11 +151,7 @@ def describe(plan: dict[str, Any]) -> str:
 def _run_locally(
     tasks: list[Task], per_device: PerDevice, emit: Callable[[str], None]
 ) -> tuple[dict[str, str], int | None]:
-    """Train the runs of `tasks`, as many tasks at a time as there are slots.
-
-    Return the last state of each run by name, `waiting` if it has not started, and the number of the signal that stopped
-    them, if any.
-    """
+    """Return the last states of the runs of `tasks`, `waiting` without any, and the signal that stopped them, if one did."""
     states = {name: "waiting" for task in tasks for name in task["runs"]}
     envs = [config["env"] for task in tasks for config in list(task["runs"].values())[:1]]
     with open_slots(per_device, envs, emit) as slots, Workers() as workers:
