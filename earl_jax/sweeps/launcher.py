@@ -91,7 +91,7 @@ def check_options(
 ) -> dict[str, str]:
     """Return the options of sbatch, after a check of the options of `sweep` against each other. Errors as `sweep`."""
     require_known("launcher", launcher, LAUNCHERS)
-    is_count = per_device in (None, "auto", *range(1, MOST + 1)) and per_device is not True
+    is_count = per_device in (None, "auto") or (type(per_device) is int and 1 <= per_device <= MOST)
     if devices is not None:
         require("devices", devices, COUNT)
     for is_wrong, message in (
