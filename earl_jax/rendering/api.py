@@ -1,5 +1,6 @@
 """`render`: a video, an animated gif or a contact sheet of a run folder or a task."""
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -62,11 +63,12 @@ def render(
             number is invalid, a video's height or width is odd, a library is missing, this machine cannot draw, `all` is
             given a policy, a camera or steps, or a life is asked for of demonstrations or on a sheet.
     """
+    source = os.path.expanduser(str(source))
     path = output_path(source, out)
     size = checked_size(SIZES[path.suffix] if size is None else size)
     _check(path, size, life, steps, fps)
     large = SUPERSAMPLING * size[0], SUPERSAMPLING * size[1]
-    if str(source) == ALL:
+    if source == ALL:
         for name, value in (("policy", policy), ("camera", camera), ("number of steps", steps)):
             if value is not None:
                 raise InputError(f"a {name} belongs to one task: name the task instead of {ALL}")
@@ -85,7 +87,7 @@ def render(
 def output_path(source: str | Path, out: str | Path | None) -> Path:
     """Return the path of the file to write."""
     suffixes = [".png"] if str(source) == ALL else list(SIZES)
-    path = Path(out or (Path(source) / "video.mp4" if is_run(source) else f"{source}{suffixes[0]}"))
+    path = Path(os.path.expanduser(out or (Path(source) / "video.mp4" if is_run(source) else f"{source}{suffixes[0]}")))
     if path.suffix not in suffixes:
         raise InputError(f"{path} has the suffix {path.suffix!r}; for {source} choose from {', '.join(suffixes)}")
     return path
