@@ -90,6 +90,5 @@ def test_a_model_outside_the_package_takes_the_overlay_beside_its_folder_and_kee
     overlay.write_text(f'<mujoco>{defaults}<body name="ball"><geom size=".5"/></body></mujoco>')
     assert [with_overlay(str(path)).ngeom for path in (model, copy)] == [3, 2]
     overlay.write_text("<mujoco>")
-    with_overlay.cache_clear()
     with pytest.raises(ValueError, match=r"ball\.xml, with the files that they include, is not XML: no element"):
-        with_overlay(str(model))
+        with_overlay.__wrapped__(str(model))
