@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
 from earl_jax.errors import require_known
 from earl_jax.metrics.comparison import FEWEST_SEEDS
 from earl_jax.metrics.scores import RATES
@@ -185,6 +187,7 @@ def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool
     entries |= {"Published, five seeds": RELEASED} if released else {}
     columns = min(layout.columns, len(entries))
     filled = {layout.wrapped(name, columns): look for name, look in entries.items()}
-    height = max(sum(name.count("\n") + 1 for name in list(filled)[i::columns]) for i in range(columns))
+    parts = np.array_split(list(filled), columns)  # as the legend fills its columns
+    height = max(sum(name.count("\n") + 1 for name in part) for part in parts)
     figure.set_figheight(figure.get_figheight() + 1.35 * height * layout.points / 72)
     style.legend_below(figure, filled, columns)
