@@ -170,8 +170,8 @@ def tests(runs: list[Curves]) -> list[dict[str, Any]]:
     rows = []
     for first, second in _pairs(runs):
         question = "methods" if first.algo != second.algo else f"runs of {first.algo}"
-        if min(first.seeds, second.seeds) >= FEWEST_SEEDS:
-            rows.append({"question": question, **pair_row(first, second)})
+        if min(first.seeds, second.seeds) >= FEWEST_SEEDS and (row := pair_row(first, second)):
+            rows.append({"question": question, **row})
     return with_verdicts([row for row in rows if row["steps"] >= CROSSING_WINDOW], family=("env", "question"))
 
 

@@ -52,6 +52,7 @@ from earl_jax.report.tables import (
 from earl_jax.runs.files import RunWarning, require_suffix
 
 OTHER_TASK = "not compared: the task is our reconstruction"
+OTHER_METRIC = "one is scored by success and the other by return"
 FILES = (*TABLES, *PICTURES)
 """The suffixes of files that `write_comparison` writes."""
 LETTERS = 36
@@ -99,21 +100,16 @@ def compare(
     else:
         rows, needed = [], "two methods on one task, or --against published"
         for first, second in (pair for pair in itertools.combinations(runs, 2) if pair[0].env == pair[1].env):
-            if cause := _cause_apart(first, second, metric):
+            same_metric = metric is not None or first.deployed_metric == second.deployed_metric
+            if same_metric and (row := pair_row(first, second, metric)):
+                rows.append(row)
+            else:
+                cause = "one ends before the other's first evaluation" if same_metric else OTHER_METRIC
                 apart = f"{first.label} and {second.label} on {first.env} are not compared"
                 warnings.warn(f"{apart}: {cause}", RunWarning, stacklevel=2)
-            else:
-                rows.append(pair_row(first, second, metric))
     if not rows:
         raise InputError(f"there is nothing to compare; compare needs runs of {needed}")
     return with_verdicts(rows)
-
-
-def _cause_apart(first: Curves, second: Curves, metric: str | None) -> str:
-    """Return why two runs of a task are not compared, or an empty text."""
-    if metric is None and first.deployed_metric != second.deployed_metric:
-        return "one is scored by success and the other by return"
-    return "" if common_step(first, second) else "one ends before the other's first evaluation"
 
 
 def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age"), tests: int = 0) -> list[Row]:
@@ -128,10 +124,14 @@ def with_verdicts(rows: list[Row], family: Sequence[str] = ("env", "age"), tests
     return rows
 
 
-def pair_row(first: Curves, second: Curves, metric: str | None = None, age: float = 1.0) -> Row:
-    """Return the comparison of two methods on a task after the share `age` of the steps that both have, p not adjusted."""
+def pair_row(first: Curves, second: Curves, metric: str | None = None, age: float = 1.0) -> Row | None:
+    """Return the comparison of two methods on a task after the share `age` of the steps that both have, p not adjusted.
+
+    It is None before the first evaluation of one.
+    """
     step = common_step(first, second, age)
-    assert step is not None
+    if step is None:
+        return None
     scores, others = (seed_scores(curves, metric) for curves in over_same_steps((first, second), step))
     return _row(first, step, scores, second.label, others, metric) | {"age": age}
 
@@ -151,7 +151,7 @@ def _released_rows(curves: Curves, metric: str | None) -> list[Row]:
     if released is None or (metric or curves.deployed_metric) not in released.metrics:
         return []
     published = released._replace(label="published")
-    return [pair_row(curves, published, metric, age) for age in AGES if common_step(curves, released, age)]
+    return [row for age in AGES if (row := pair_row(curves, published, metric, age))]
 
 
 def _printed_rows(curves: Curves) -> list[Row]:

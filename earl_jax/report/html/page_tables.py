@@ -11,7 +11,7 @@ from earl_jax.report.html.curves import PANELS, Line
 from earl_jax.report.leaderboard import COLUMNS as BOARD, OURS, ranked, run_row, shipped_rows, texts
 from earl_jax.report.paper_rows import DESCRIPTIONS, HEADINGS, paper_rows, share_of_steps
 from earl_jax.report.published import PublishedScore, published_fault
-from earl_jax.report.runs import common_step, label
+from earl_jax.report.runs import label
 from earl_jax.report.scores import seed_scores
 from earl_jax.report.tables import Row, error_text, number_text, steps_text
 from earl_jax.runs.folder import RunFolder
@@ -89,13 +89,11 @@ def _identity(row: Row) -> list[Any]:
 
 def difference_table(lines: Sequence[Line]) -> dict[str, Any]:
     """Return the tests of differences between deployed scores of one task's `lines`, a row for each pair with a common step."""
-    pairs = [(one, two) for one, two in itertools.combinations(lines, 2) if common_step(one.curves, two.curves)]
-    tested = with_verdicts([pair_row(first.curves, second.curves) for first, second in pairs])
+    pairs = itertools.combinations(lines, 2)
+    tested = [(first, row) for first, second in pairs if (row := pair_row(first.curves, second.curves))]
+    with_verdicts([row for _, row in tested])
     columns = COLUMNS[2:]  # without the task, and the first method has a cell of its own
-    rows = [
-        (line, line.curves.label, [cell(row) for _, cell in columns])
-        for (line, _), row in zip(pairs, tested, strict=True)
-    ]
+    rows = [(line, line.curves.label, [cell(row) for _, cell in columns]) for line, row in tested]
     return {"head": [name for name, _ in columns], "rows": rows}
 
 
