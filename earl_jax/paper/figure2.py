@@ -6,7 +6,7 @@ the first version of SAC, ours the second.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -45,38 +45,15 @@ value and keeps its temperature: `--set fixed_temperature=true` keeps ours, and 
 reward against it."""
 OTHER_NOTE = "The paper's learner is SAC of arXiv 1801.01290. The list above names every other learner."
 """What the page says of the learner, where all runs have SAC and where not."""
+RETURN = "deployed/return"
 MISSING = "-"
 TESTED = ("p", "adjusted p")
 PLOT_STYLES = {True: ("#D55E00", "o-"), False: ("#0072B2", "s--")}
 """Colour and line of each TD update by `timeout_bootstrap`."""
 
 
-class Point(NamedTuple):
-    """A `run` on one task with one TD update (`bootstrap`) and horizon."""
-
-    env: str
-    bootstrap: bool
-    horizon: int
-    run: Curves
-
-    @property
-    def returns(self) -> np.ndarray:
-        """The deployed returns [seeds, E]."""
-        return self.run.metrics["deployed/return"]
-
-    @property
-    def scores(self) -> np.ndarray:
-        """The final returns [seeds], by the window of the run."""
-        return final_scores(self.run.steps, self.returns, self.run.window)
-
-    def row(self, scores: np.ndarray, **columns: int) -> Row:
-        """Return the row of `scores [seeds]`, with further `columns` before their mean."""
-        key = {"env": self.env, "timeout_bootstrap": self.bootstrap, "train_horizon": self.horizon}
-        return {**key, **columns, **mean_interval(scores).columns("return")}
-
-
-Arms = dict[tuple[str, bool], list[Point]]
-"""The points of each task and update, shortest horizon first; an update that was not run has none."""
+Arms = dict[tuple[str, bool], dict[int, Curves]]
+"""The runs of each task and update by their horizon, the shortest first; an update that was not run has none."""
 
 
 def blocks(env: str) -> list[Block]:
@@ -100,27 +77,29 @@ def report(folders: Sequence[Path]) -> Report:
             or matplotlib is not installed.
     """
     arms = _arms(read_all(folders))
-    points = [point for arm in arms.values() for point in arm]
-    rows = [point.row(point.scores, steps=point.run.length, seeds=point.run.seeds) for point in points]
-    curves = [
-        point.row(scores, step=step)
-        for point in points
-        for step, scores in zip(point.run.steps.tolist(), point.returns.T, strict=True)
-    ]
+    rows, curves = [], []
+    for (env, update), arm in arms.items():
+        for horizon, run in arm.items():
+            key = {"env": env, "timeout_bootstrap": update, "train_horizon": horizon}
+            final = mean_interval(_final(run)).columns("return")
+            rows.append({**key, "steps": run.length, "seeds": run.seeds, **final})
+            for step, returns in zip(run.steps.tolist(), run.metrics[RETURN].T, strict=True):
+                curves.append({**key, "step": step, **mean_interval(returns).columns("return")})
+    runs = [run for arm in arms.values() for run in arm.values()]
     parts = {
         "returns": _returns(arms),
         "findings": _findings(arms),
         "effects": _effects(arms),
         "missing": _missing(arms),
-        "runs": "\n".join(dict.fromkeys(_run_note(point.run) for point in points)),
-        "learner": SAC_NOTE if all(isinstance(_learner(point.run), SAC) for point in points) else OTHER_NOTE,
+        "runs": "\n".join(dict.fromkeys(map(_run_note, runs))),
+        "learner": SAC_NOTE if all(isinstance(_learner(run), SAC) for run in runs) else OTHER_NOTE,
     }
     return Report(parts, _draw(arms), {"": rows, "_curves": curves})
 
 
 def _arms(runs: Sequence[Curves]) -> Arms:
-    """Return a point per task, update and horizon, in order."""
-    points: dict[tuple[str, bool, int], Point] = {}
+    """Return the runs per task, update and horizon, in order."""
+    arms: Arms = {}
     for curves in runs:
         config = curves.config
         if config.algo != "naive":
@@ -129,15 +108,22 @@ def _arms(runs: Sequence[Curves]) -> Arms:
         if not horizon:
             raise InputError(f"figure 2 needs resets, and a run on {env} has none: train_horizon=0")
         update = bool(_learner(curves).timeout_bootstrap)
-        key = (env, update, horizon)
-        if key in points:
+        arm = arms.setdefault((env, update), {})
+        if horizon in arm:
             raise InputError(f"runs on {env} with H_T {horizon:,}, {UPDATES[update]}, differ in other options")
-        points[key] = Point(*key, curves)
-    envs = style.ordered((env for env, _, _ in points), TASKS)
-    arms: Arms = {(env, update): [] for env in envs for update in UPDATES}
-    for key, point in sorted(points.items()):
-        arms[key[:2]].append(point)
-    return arms
+        arm[horizon] = curves
+    envs = style.ordered((env for env, _ in arms), TASKS)
+    keys = [(env, update) for env in envs for update in UPDATES]
+    return {key: dict(sorted(arms.get(key, {}).items())) for key in keys}
+
+
+def _horizons(arms: Arms) -> list[int]:
+    return sorted({horizon for arm in arms.values() for horizon in arm})
+
+
+def _final(run: Curves) -> np.ndarray:
+    """Return the final returns [seeds], by the window of the run."""
+    return final_scores(run.steps, run.metrics[RETURN], run.window)
 
 
 def _run_note(run: Curves) -> str:
@@ -168,11 +154,11 @@ def _goals_text(config: RunConfig) -> str:
 
 def findings(arms: Arms) -> list[Row]:
     """Return for each arm with several horizons the test of the return at the shortest minus that at the longest."""
-    rows = [
-        {"env": env, "update": update, "horizons": (arm[0].horizon, arm[-1].horizon), **_test(arm[0], arm[-1])}
-        for (env, update), arm in arms.items()
-        if len(arm) > 1
-    ]
+    rows = []
+    for (env, update), arm in arms.items():
+        if len(arm) > 1:
+            ends = min(arm), max(arm)
+            rows.append({"env": env, "update": update, "horizons": ends, **_test(*(arm[end] for end in ends))})
     return with_verdicts(rows, family=("env",))
 
 
@@ -180,21 +166,20 @@ def effects(arms: Arms) -> list[Row]:
     """Return for each task the test of the return with minus without the biased update, at the longest horizon of both."""
     rows = []
     for env in dict.fromkeys(env for env, _ in arms):
-        without, biased = ({point.horizon: point for point in arms[env, update]} for update in UPDATES)
+        without, biased = (arms[env, update] for update in UPDATES)
         if common := without.keys() & biased.keys():
             horizon = max(common)
             rows.append({"env": env, "horizon": horizon, **_test(biased[horizon], without[horizon])})
     return with_verdicts(rows, family=("env",))
 
 
-def _test(first: Point, second: Point) -> Row:
-    """Return the columns of Welch's test of two points over the same steps; three seeds have no significant permutation."""
-    step = common_step(first.run, second.run)
+def _test(first: Curves, second: Curves) -> Row:
+    """Return the columns of Welch's test of two runs over the same steps; three seeds have no significant permutation."""
+    step = common_step(first, second)
     if not step:
         return untested(MISSING)
-    runs = over_same_steps((first.run, second.run), step)
-    own, other = (point._replace(run=run).scores for point, run in zip((first, second), runs, strict=True))
-    return comparison_columns(Sample.of(own), Sample.of(other))
+    own, other = (Sample.of(_final(run)) for run in over_same_steps((first, second), step))
+    return comparison_columns(own, other)
 
 
 def verdict(finding: str, effect: str, published: str | None) -> str:
@@ -210,11 +195,10 @@ def verdict(finding: str, effect: str, published: str | None) -> str:
 
 
 def _returns(arms: Arms) -> str:
-    horizons = sorted({*HORIZONS, *(point.horizon for arm in arms.values() for point in arm)})
+    horizons = sorted({*HORIZONS, *_horizons(arms)})
     lines = []
     for (env, update), arm in arms.items():
-        scores = {point.horizon: point.scores for point in arm}
-        texts = {h: f"{interval_text(*mean_interval(own), '.1f')} ({len(own)})" for h, own in scores.items()}
+        texts = {h: f"{interval_text(*mean_interval(_final(run)), '.1f')} ({run.seeds})" for h, run in arm.items()}
         lines.append([env, UPDATES[update], *(texts.get(horizon, MISSING) for horizon in horizons)])
     return markdown_table(["task", "update", *(f"{horizon:,}" for horizon in horizons)], lines)
 
@@ -243,8 +227,7 @@ def _missing(arms: Arms) -> str:
     """Return which points of the published figure were not run."""
     lines = []
     for env, update in FINDINGS:
-        present = {point.horizon for point in arms.get((env, update), ())}
-        missing = [f"{horizon:,}" for horizon in HORIZONS if horizon not in present]
+        missing = [f"{horizon:,}" for horizon in HORIZONS if horizon not in arms.get((env, update), {})]
         lines += [f"- {env}, {UPDATES[update]}: {'; '.join(missing)}"] if missing else []
     return "\n".join(["Not run, by H_T:", "", *lines]) if lines else "Every point of the published figure was run."
 
@@ -253,12 +236,12 @@ def _draw(arms: Arms) -> Any:
     """Return a figure with a row per task: learning curves of each TD update by horizon, then final returns."""
     envs = list(dict.fromkeys(env for env, _ in arms))
     figure, axes = style.new_figure(len(envs), len(UPDATES) + 1, (4.6 * (len(UPDATES) + 1), 3.7 * len(envs) + 0.4))
-    horizons = sorted({point.horizon for arm in arms.values() for point in arm})
+    horizons = _horizons(arms)
     for env, line in zip(envs, axes, strict=True):
         for update, axis in zip(UPDATES, line, strict=False):
-            for point in arms[env, update]:
-                style.draw_band(axis, point.run.steps, mean_interval(point.returns), _colour(point.horizon, horizons))
-            axis.set(title=f"{style.task_title(env)}, {UPDATES[update]}", ylabel=style.AXES["deployed/return"])
+            for horizon, run in arms[env, update].items():
+                style.draw_band(axis, run.steps, mean_interval(run.metrics[RETURN]), _colour(horizon, horizons))
+            axis.set(title=f"{style.task_title(env)}, {UPDATES[update]}", ylabel=style.AXES[RETURN])
             axis.sharey(line[0])
             axis.grid(alpha=0.3)
             style.step_axis(axis)
@@ -278,15 +261,15 @@ def _draw_final(axis: Any, env: str, arms: Arms) -> None:
     """Draw a task's final returns, moved sideways a little so that the intervals of both updates can be seen."""
     for update, name in UPDATES.items():
         arm, (colour, marks) = arms[env, update], PLOT_STYLES[update]
-        estimate = Estimate(*np.reshape([mean_interval(point.scores) for point in arm], (-1, 3)).T)
-        x = [point.horizon * (1.03 if update else 0.97) for point in arm]
+        estimate = Estimate(*np.reshape([mean_interval(_final(run)) for run in arm.values()], (-1, 3)).T)
+        x = [horizon * (1.03 if update else 0.97) for horizon in arm]
         axis.errorbar(
             x, estimate.value, style.reach(estimate), fmt=marks, color=colour, label=name, capsize=3, markersize=5
         )
     axis.set(
         title=f"{style.task_title(env)}, final", xscale="log", xlabel="Steps between resets", ylabel="Final return"
     )
-    ticks = sorted({point.horizon for update in UPDATES for point in arms[env, update]})
+    ticks = sorted({horizon for update in UPDATES for horizon in arms[env, update]})
     axis.set_xticks(ticks, [steps_text(horizon) for horizon in ticks])
     axis.set_xticks([], minor=True)
     axis.grid(alpha=0.3)
