@@ -84,7 +84,7 @@ def _measured(run: Curves, test: Row) -> Row:
 
 def _cell(env: str, algo: str, measured: Row) -> Row:
     """Return the row of a cell from what was `measured`."""
-    score = None if env in RECONSTRUCTED else published_score("table1", env, algo)
+    score = None if env in RECONSTRUCTED else published_score(1, env, algo)
     names = {"env": env, "algo": algo, "of": training_steps(env), "printed": score.text if score else None}
     return {**{name: measured.get(name) for name in COLUMNS}, **names}
 

@@ -129,7 +129,7 @@ def _draw_cell(axis: Any, curves: Curves | None) -> None:
         metric = curves.deployed_metric
         if released := released_beside(curves):
             draw_curves(axis, released, metric, SMOOTH, RELEASED, each=True)
-        elif printed := published_beside("table1", curves):
+        elif printed := published_beside(1, curves):
             axis.plot(training_steps(curves.env), printed.value, **PRINTED, clip_on=False)
         draw_curves(axis, curves, metric, SMOOTH, OURS, each=True)
     step_axis(axis)

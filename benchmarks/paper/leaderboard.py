@@ -89,14 +89,12 @@ def rows_of(runs: list[Curves]) -> list[Row]:
 def published_rows() -> list[Row]:
     """Return the rows of the paper and those of newer papers, without those of a task that is our reconstruction."""
     cells = [(env, algo) for env in PAPER_TASKS if env not in RECONSTRUCTED for algo in methods_on(env)]
-    rows = [
-        _paper_row(env, algo) for env, algo in cells if (score := published_score("table1", env, algo)) and score.sample
-    ]
+    rows = [_paper_row(env, algo) for env, algo in cells if (score := published_score(1, env, algo)) and score.sample]
     return rows + [_newer_row(row) for row in assets.published("newer")]
 
 
 def _paper_row(env: str, algo: str) -> Row:
-    score, rewards = published_score("table1", env, algo), published_score("table2", env, algo)
+    score, rewards = published_score(1, env, algo), published_score(2, env, algo)
     assert score is not None
     length, crossings = training_steps(env), {}
     deployed = Estimate(score.value, *(score.interval or (math.nan, math.nan)))

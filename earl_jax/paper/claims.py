@@ -123,7 +123,7 @@ def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
 
 def _printed(claim: Claim) -> Row:
     """Return the columns of the test by the printed means and standard errors, which every claim without released runs has."""
-    scores = [published_score(f"table{claim.number}", claim.env, algo) for algo in (claim.first, claim.second) if algo]
+    scores = [published_score(claim.number, claim.env, algo) for algo in (claim.first, claim.second) if algo]
     first, second = (sample for score in scores if score and (sample := score.sample))
     return comparison_columns(first, second)
 
@@ -177,7 +177,7 @@ def changes_order(methods: Mapping[str, tuple[float, float]]) -> bool:
 
 def _published() -> Iterator[tuple[str, str, float, float]]:
     for row in assets.published("table2"):
-        scores = [published_score(table, row["env"], row["algo"]) for table in ("table1", "table2")]
+        scores = [published_score(number, row["env"], row["algo"]) for number in (1, 2)]
         if scores[0] and scores[1]:
             yield row["env"], row["algo"], scores[0].value, scores[1].value
 

@@ -101,11 +101,11 @@ def _draw_method(column: Any, curves: Curves, colour: str, line_style: str) -> N
     """Draw both curves of a method, published final values as dashes at the right edge, and crossings as crosses."""
     label, metrics, deployed = style.method_title(curves.label), curves.metrics, curves.deployed_metric
     drawn = {deployed: trailing(metrics[deployed]), CONTINUING: metrics[CONTINUING]}
-    for axis, (metric, values), table in zip(column, drawn.items(), ("table1", "table2"), strict=True):
+    for axis, (metric, values), number in zip(column, drawn.items(), (1, 2), strict=True):
         style.draw_band(
             axis, curves.steps, interval_of(curves, values, metric), colour, linestyle=line_style, label=label
         )
-        if final := published_beside(table, curves):
+        if final := published_beside(number, curves):
             edge = axis.get_yaxis_transform()
             axis.plot([1.015, 1.075], [final.value] * 2, "--", color=colour, linewidth=2, transform=edge, clip_on=False)
     for level, step in crossings_beside(curves).items():

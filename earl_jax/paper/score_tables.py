@@ -85,7 +85,7 @@ def _tests(tested: Sequence[Row]) -> str:
 
 
 def _faults(number: int, trained: Sequence[Row]) -> str:
-    faults = {env: published_fault(f"table{number}", env) for env in dict.fromkeys(row["env"] for row in trained)}
+    faults = {env: published_fault(number, env) for env in dict.fromkeys(row["env"] for row in trained)}
     lines = "\n".join(f"- {env}: {fault}" for env, fault in faults.items() if fault)
     return f"Known faults of published scores:\n\n{lines}" if lines else ""
 

@@ -156,7 +156,7 @@ def _released_rows(curves: Curves, metric: str | None) -> list[Row]:
 
 def _printed_rows(curves: Curves) -> list[Row]:
     """Return the comparison of a run of the published length with the printed score; of another, a row without a test."""
-    score = published_score("table1", curves.env, curves.algo) if curves.comparable else None
+    score = published_score(1, curves.env, curves.algo) if curves.comparable else None
     sample = score and score.sample
     if not score or not sample:
         return []

@@ -59,8 +59,7 @@ def paper_rows(number: int, runs: Sequence[Curves]) -> list[Row]:
 
 
 def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
-    table = f"table{number}"
-    score = published_beside(table, curves) if curves else published_score(table, env, algo)
+    score = published_beside(number, curves) if curves else published_score(number, env, algo)
     low, high = (score and score.interval) or (None, None)
     steps_low, steps_high = published_steps(env) or (None, None)
     row = {

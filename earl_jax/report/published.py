@@ -123,9 +123,9 @@ def _half_unit(number: str) -> float:
     return 0.5 * 10.0 ** int(Decimal(number).as_tuple().exponent)
 
 
-def published_score(table: str, env: str, algo: str) -> PublishedScore | None:
-    """Return the score of a method on a task in `table1` or `table2`, or None if the paper has none."""
-    row = assets.published_row(table, env=env, algo=algo)
+def published_score(number: int, env: str, algo: str) -> PublishedScore | None:
+    """Return the score of a method on a task in table `number` (1 or 2), or None if the paper has none."""
+    row = assets.published_row(f"table{number}", env=env, algo=algo)
     return PublishedScore(row["mean"], row["stderr"]) if row else None
 
 
@@ -153,9 +153,9 @@ def is_comparable(curves: Curves) -> bool:
     return curves.env not in RECONSTRUCTED and curves.comparable
 
 
-def published_beside(table: str, curves: Curves) -> PublishedScore | None:
-    """Return the score to set beside a run in `table1` or `table2`, None if there is none or it is not comparable."""
-    return published_score(table, curves.env, curves.algo) if is_comparable(curves) else None
+def published_beside(number: int, curves: Curves) -> PublishedScore | None:
+    """Return the score to set beside a run in table `number`, None if there is none or it is not comparable."""
+    return published_score(number, curves.env, curves.algo) if is_comparable(curves) else None
 
 
 def published_steps(env: str) -> tuple[int, int] | None:
@@ -177,7 +177,7 @@ def share_text(steps: int, published: int) -> str:
     return f"{min(100 * steps / published, 99):.2g} %"
 
 
-def published_fault(table: str, env: str) -> str | None:
-    """Return the known faults of the published scores of a task in `table1` or `table2`, or None if there are none."""
-    rows = [row for row in assets.published("faults") if (row["paper_table"], row["env"]) == (table, env)]
+def published_fault(number: int, env: str) -> str | None:
+    """Return the known faults of the published scores of a task in table `number`, or None if there are none."""
+    rows = [row for row in assets.published("faults") if (row["paper_table"], row["env"]) == (f"table{number}", env)]
     return " ".join(row["fault"] for row in rows) or None

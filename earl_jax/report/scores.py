@@ -107,7 +107,7 @@ def row_of(curves: Curves) -> dict[str, Any]:
     """Return the row of one method under its label, as `tabulate` describes it."""
     deployed, continuing = seed_scores(curves), curves.metrics["continuing/reward"][:, -1]
     interval, rates = interval_of(curves, deployed), curves.deployed_metric == SUCCESS
-    table1, table2 = (published_beside(table, curves) for table in ("table1", "table2"))
+    table1, table2 = (published_beside(number, curves) for number in (1, 2))
     return {
         "env": curves.env,
         "algo": curves.label,

@@ -95,8 +95,8 @@ def test_a_claim_needs_two_methods_on_a_task_and_ties_are_no_change_of_order(tmp
 
 
 def test_the_contradiction_of_text_and_table_is_a_known_fault():
-    fault = published_fault("table1", "minitaur_pen")
-    scores = {algo: published_score("table1", "minitaur_pen", algo).mean for algo in ("r3l", "oracle")}
+    fault = published_fault(1, "minitaur_pen")
+    scores = {algo: published_score(1, "minitaur_pen", algo).mean for algo in ("r3l", "oracle")}
     assert "had left the pen" in fault
     assert f"the table has {scores['r3l']} for r3l and {scores['oracle']} for the oracle" in fault
     assert float(scores["r3l"]) < float(scores["oracle"])

@@ -131,12 +131,12 @@ def _short(values: np.ndarray) -> list[float | None]:
 
 def _published(line: Line, metric: str) -> dict[str, Any] | None:
     """Return the published numbers of this line: the final value with its interval, and the steps of its crossings."""
-    tables = {line.curves.deployed_metric: "table1", "continuing/reward": "table2"}
-    if metric not in tables:
+    numbers = {line.curves.deployed_metric: 1, "continuing/reward": 2}
+    if metric not in numbers:
         return None
     published = crossings_beside(line.curves) if metric == "deployed/success" else {}
     crossings = [[step, level] for level, step in published.items()]
-    score = published_beside(tables[metric], line.curves)
+    score = published_beside(numbers[metric], line.curves)
     if score is None or score.interval is None:
         return {"final": None, "crossings": crossings} if crossings else None
     steps = published_steps(line.curves.env)

@@ -34,7 +34,7 @@ def paper_table(number: int, lines: Sequence[Line]) -> dict[str, Any]:
     env, known = lines[0].curves.env, {line.curves.label: line for line in lines}
     rows = [row for row in paper_rows(number, [line.curves for line in lines]) if row["env"] == env]
     lead, _, text = HEADINGS[number].partition(": ")
-    fault = published_fault(f"table{number}", env)
+    fault = published_fault(number, env)
     note = DESCRIPTIONS[number] + (f" A known fault of the published scores: {fault}" if fault else "")
     table_rows = [_paper_row(row, known.get(row["label"])) for row in rows]
     return {"lead": lead, "text": text, "note": note, "head": HEAD, "rows": table_rows}
