@@ -15,11 +15,11 @@ from pathlib import Path
 from benchmarks.output import RESULTS, pages_with, shrink, write_files
 from benchmarks.paper import grid
 from earl_jax.envs import PAPER_TASKS, make
+from earl_jax.metrics.scores import CONTINUING
 from earl_jax.paper.artefact import methods_on
 from earl_jax.paper.claims import claims_text
 from earl_jax.report.comparison import published_rows, table_text, verdict_text, with_verdicts
 from earl_jax.report.leaderboard import commit_of
-from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import RECONSTRUCTED, chosen_words, published_score, training_steps

@@ -29,8 +29,8 @@ from benchmarks.paper.uniform_starts import RELEASED, SEEDS, read_seeds
 from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import CANNOT_TELL, mean_interval
+from earl_jax.metrics.scores import CONTINUING
 from earl_jax.report.comparison import comparison_columns, pair_row, published_rows, verdict_text, with_verdicts
-from earl_jax.report.paper_rows import CONTINUING
 from earl_jax.report.plots import plot_runs
 from earl_jax.report.pooling import read_all
 from earl_jax.report.published import training_steps

@@ -14,7 +14,7 @@ from benchmarks.output import write_files
 from benchmarks.paper.cells import RUNS
 from earl_jax.envs.kitchen.franka_kitchen import FrankaKitchen
 from earl_jax.metrics.comparison import permutation
-from earl_jax.report.paper_rows import CONTINUING
+from earl_jax.metrics.scores import CONTINUING
 from earl_jax.report.published import released_curves
 from earl_jax.report.runs import Curves, common_step, read
 from earl_jax.report.tables import Row, csv_text, markdown_table, millions, number_text

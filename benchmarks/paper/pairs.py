@@ -3,8 +3,7 @@
 import dataclasses
 
 from benchmarks.paper.cells import FORMER_VAPRL, PEG, TABLETOP
-from earl_jax.metrics.scores import SUCCESS
-from earl_jax.report.paper_rows import CONTINUING
+from earl_jax.metrics.scores import CONTINUING, SUCCESS
 
 DOOR, KITCHEN, MINITAUR, CHEETAH = "sawyer_door", "franka_kitchen", "minitaur_pen", "cheetah_run"
 LIGHTBULB = "dhand_lightbulb"

@@ -20,6 +20,7 @@ from earl_jax.options.values import COUNT, counted, require
 SHARE, FEWEST = 0.1, 5
 """The score of a seed is its mean over the evaluations of this last share of a run, and over so many evaluations at least."""
 SUCCESS = "deployed/success"
+CONTINUING = "continuing/reward"
 RATES = frozenset({SUCCESS, WIDE, FORWARD, BACK, ALIVE, DIVERGED, OVER})
 """Metrics that are rates, from 0 to 1."""
 
@@ -144,7 +145,7 @@ def lifetime_scores(steps: Any, metrics: dict[str, Any], metric: str) -> Scores:
     """Return the scores of lives evaluated at `steps [E]`, from `metrics` [..., E]; `metric` names the deployed one."""
     require_known("metric", metric, metrics)
     scores = metrics[metric]
-    return Scores(scores[..., -1], deployed_area(steps, scores), metrics["continuing/reward"][..., -1])
+    return Scores(scores[..., -1], deployed_area(steps, scores), metrics[CONTINUING][..., -1])
 
 
 def deployed_area(steps: Any, scores: Any) -> Any:

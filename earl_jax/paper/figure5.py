@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from earl_jax.envs import PAPER_TASKS
-from earl_jax.metrics.scores import SUCCESS, deployed_area
+from earl_jax.metrics.scores import CONTINUING, SUCCESS, deployed_area
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import METHODS, Artefact, Report, Row, mean_text, runs_of
 from earl_jax.report import style
-from earl_jax.report.paper_rows import CONTINUING, columns_of_test
+from earl_jax.report.paper_rows import columns_of_test
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import published_beside
 from earl_jax.report.runs import Curves, options_text

@@ -10,8 +10,7 @@ from earl_jax import assets
 from earl_jax.envs import make
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE
-from earl_jax.metrics.scores import DEFAULT
-from earl_jax.report.paper_rows import CONTINUING
+from earl_jax.metrics.scores import CONTINUING, DEFAULT
 from earl_jax.report.published import chosen_words
 from earl_jax.report.runs import Curves
 from earl_jax.report.scores import LEVELS, interval_of, level_crossings, seed_scores

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from earl_jax import assets
-from earl_jax.metrics.scores import DEFAULT
+from earl_jax.metrics.scores import CONTINUING, DEFAULT
 from earl_jax.metrics.statistics import stderr
 from earl_jax.report.comparison import comparison_columns, with_verdicts
 from earl_jax.report.published import (
@@ -35,7 +35,6 @@ DESCRIPTIONS = {
     "last evaluation.",
     2: "Task reward per step, averaged over all steps of the lifetime (`continuing/reward` at the end).",
 }
-CONTINUING = "continuing/reward"
 MEASURED = ("options", "chosen", "metric", "seeds", "diverged", "steps", "mean", "stderr", "low", "high")
 """The columns of our run, which are None without one."""
 TESTED = (

@@ -10,7 +10,7 @@ import numpy as np
 
 from earl_jax.errors import require_known
 from earl_jax.metrics.comparison import FEWEST_SEEDS
-from earl_jax.metrics.scores import RATES
+from earl_jax.metrics.scores import CONTINUING, RATES
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.options.values import COUNT, counted, require
 from earl_jax.report import style
@@ -138,7 +138,7 @@ def _panels(lines: Sequence[Line], metric: str | None) -> list[tuple[str, str]]:
     if metric is not None:
         return [(metric, "")]
     deployed = lines[0].curves.deployed_metric
-    return [(deployed, "Deployed, from s0"), ("continuing/reward", "Continuing, over the lifetime")]
+    return [(deployed, "Deployed, from s0"), (CONTINUING, "Continuing, over the lifetime")]
 
 
 def _draw_panel(axis: Any, lines: Sequence[Line], metric: str, smooth: int, published: bool) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from earl_jax.errors import InputError, brief
-from earl_jax.metrics.scores import DEFAULT, Window, require_window
+from earl_jax.metrics.scores import CONTINUING, DEFAULT, Window, require_window
 from earl_jax.report.runs import Columns, Curves, by_method, by_values, read
 from earl_jax.report.scores import over_same_steps, seed_scores
 from earl_jax.runs.config import DEPLOYED, RunConfig
@@ -20,7 +20,7 @@ from earl_jax.runs.files import RunWarning
 
 Check = Callable[[Curves], Any]
 """A function that raises an error if curves lack what a report shows of them."""
-NEEDED = frozenset({*DEPLOYED.values(), "continuing/reward"})
+NEEDED = frozenset({*DEPLOYED.values(), CONTINUING})
 """Metrics without which a run is not pooled; of the others, pooled runs keep those that all of them have."""
 MOST_CAUSES = 5
 """Most causes in the error that no run can be used."""

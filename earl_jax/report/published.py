@@ -15,7 +15,7 @@ from earl_jax.algos.method import kept_transitions
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import Sample, rate_interval
-from earl_jax.metrics.scores import DEFAULT, as_decimals
+from earl_jax.metrics.scores import CONTINUING, DEFAULT, as_decimals
 from earl_jax.options.schedule import Schedule
 from earl_jax.report.runs import Curves
 from earl_jax.runs.config import RunConfig
@@ -138,7 +138,7 @@ def released_curves(env: str, algo: str) -> Curves | None:
     schedule = Schedule(steps=int(steps[-1]), eval_every=int(steps[1] - steps[0]), checkpoint_every=int(steps[-1]))
     lengths = dataclasses.asdict(schedule)
     config = RunConfig(env, {}, algo, {}, tuple(range(SEEDS)), **lengths, reward_type=make(env).reward_type)
-    names = {"deployed": config.deployed_metric, "continuing": "continuing/reward"}
+    names = {"deployed": config.deployed_metric, "continuing": CONTINUING}
     return Curves(config, steps, {names[name]: as_decimals(runs[name]) for name in names if name in runs})
 
 

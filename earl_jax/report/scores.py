@@ -11,7 +11,7 @@ from earl_jax.metrics import crossings
 from earl_jax.metrics.comparison import Sample, band, is_rounding, mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
-from earl_jax.metrics.scores import RATES, SUCCESS, Window
+from earl_jax.metrics.scores import CONTINUING, RATES, SUCCESS, Window
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import published_beside, released_beside
 from earl_jax.report.runs import Curves, options_text, spacing
@@ -105,7 +105,7 @@ def crossings_beside(curves: Curves) -> dict[float, int]:
 
 def row_of(curves: Curves) -> dict[str, Any]:
     """Return the row of one method under its label, as `tabulate` describes it."""
-    deployed, continuing = seed_scores(curves), curves.metrics["continuing/reward"][:, -1]
+    deployed, continuing = seed_scores(curves), curves.metrics[CONTINUING][:, -1]
     interval, rates = interval_of(curves, deployed), curves.deployed_metric == SUCCESS
     table1, table2 = (published_beside(number, curves) for number in (1, 2))
     return {

@@ -9,7 +9,7 @@ from earl_jax.metrics.comparison import FEWEST_SEEDS
 from earl_jax.metrics.continuing import DIVERGED, OVER
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
-from earl_jax.metrics.scores import RATES
+from earl_jax.metrics.scores import CONTINUING, RATES, SUCCESS
 from earl_jax.report.published import published_beside, published_steps
 from earl_jax.report.runs import Curves, by_method
 from earl_jax.report.scores import SMOOTH, crossings_beside, evenly_spaced, interval_of, trailing
@@ -60,7 +60,7 @@ class Panel(NamedTuple):
 PANELS = (
     Panel(None, "Deployed, from s₀", "{} of the greedy task policy"),
     Panel(WIDE, "Deployed, from wide starts", "success of the greedy task policy"),
-    Panel("continuing/reward", "Continuing", "task reward per step, over the lifetime so far"),
+    Panel(CONTINUING, "Continuing", "task reward per step, over the lifetime so far"),
     Panel(FORWARD, "Forward phases", "share that reached the goal since the last evaluation"),
     Panel(BACK, "Return phases", "share that reached the goal since the last evaluation"),
     Panel(ALIVE, "Lanes alive", "share of seeds that recently reached the goals of both phases"),
@@ -131,10 +131,10 @@ def _short(values: np.ndarray) -> list[float | None]:
 
 def _published(line: Line, metric: str) -> dict[str, Any] | None:
     """Return the published numbers of this line: the final value with its interval, and the steps of its crossings."""
-    numbers = {line.curves.deployed_metric: 1, "continuing/reward": 2}
+    numbers = {line.curves.deployed_metric: 1, CONTINUING: 2}
     if metric not in numbers:
         return None
-    published = crossings_beside(line.curves) if metric == "deployed/success" else {}
+    published = crossings_beside(line.curves) if metric == SUCCESS else {}
     crossings = [[step, level] for level, step in published.items()]
     score = published_beside(numbers[metric], line.curves)
     if score is None or score.interval is None:
