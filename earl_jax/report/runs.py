@@ -236,7 +236,7 @@ def _values(curves: Curves, names: Iterable[str]) -> dict[str, Any]:
         defaults["learner"] = method.learner.name
     except InputError:
         unknown = dict.fromkeys(names, "default")
-    fields = {field.name: getattr(part, field.name) for part in parts for field in dataclasses.fields(part)}
+    fields = {field.name: getattr(part, field.name, "default") for part in parts for field in dataclasses.fields(part)}
     known = {**unknown, **fields, **defaults, **curves.options}
     return {name: known[name] for name in names if name in known}
 

@@ -1,5 +1,6 @@
 """Curves read from run folders, in the order and with the labels of tables."""
 
+import dataclasses
 from importlib import metadata
 
 from earl_jax.protocol import Continuing
@@ -51,11 +52,15 @@ def test_labels_have_the_options_that_differ_also_of_learners_settings_and_unkno
     ]
 
 
-def test_a_known_method_on_an_unknown_task_is_labelled_with_its_own_default(tmp_path):
+def test_a_known_method_on_an_unknown_task_is_labelled_with_its_own_default(tmp_path, monkeypatch):
     paths = [write_run(tmp_path / str(n), TABLETOP, "fbrl", rising(1, 1), reward_scale=n) for n in (1.0, 10.0)]
     for path in paths:
         change_config(path, env="theirs")
     assert labels(read_all(paths)) == ["fbrl (reward_scale=1)", "fbrl (reward_scale=10)"]
+    theirs = dataclasses.make_dataclass("Theirs", [("places", tuple, dataclasses.field(default_factory=tuple))])
+    monkeypatch.setattr("earl_jax.report.runs.env_class", {"theirs": theirs}.get)
+    change_config(paths[0], env_options={"places": [1, 2]})
+    assert labels(read_all(paths))[1] == "fbrl (places=default, reward_scale=10)"
 
 
 def test_no_package_is_searched_to_know_whether_a_run_is_comparable(tmp_path, monkeypatch):
