@@ -27,8 +27,9 @@ class Estimate(NamedTuple):
         return dict(zip((name, f"{prefix}low", f"{prefix}high"), self, strict=True))
 
     @classmethod
-    def of_row(cls, row: dict[str, Any], name: str, prefix: str = "") -> "Estimate":
-        """Return the estimate whose `columns` are in `row`."""
+    def of_row(cls, row: dict[str, Any], name: str) -> "Estimate":
+        """Return the estimate whose `columns` are in `row`: the ends start with `name`, or with nothing if none do."""
+        prefix = f"{name}_" if f"{name}_low" in row else ""
         return cls(row[name], row[f"{prefix}low"], row[f"{prefix}high"])
 
 

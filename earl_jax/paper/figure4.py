@@ -85,8 +85,8 @@ def _percent(share: float | None) -> str:
 def _parts(methods: Sequence[Row]) -> dict[str, str]:
     lines = []
     for row in methods:
-        successes = [interval_text(*Estimate.of_row(row, name, f"{name}_")) for name in ("initial", "uniform")]
-        drop = interval_text(*(100 * end for end in Estimate.of_row(row, "drop", "drop_")), style=".1f")
+        successes = [interval_text(*Estimate.of_row(row, name)) for name in ("initial", "uniform")]
+        drop = interval_text(*(100 * end for end in Estimate.of_row(row, "drop")), style=".1f")
         lines.append([row["algo"], row["seeds"], *successes, drop, _percent(row["published_drop"]), row["verdict"]])
     header = ["method", "seeds", "from s0", "from uniform starts", "drop, %", "published drop", "verdict"]
     missing = [name for row in assets.published("figure4") if (name := row["algo"]) not in {m["algo"] for m in methods}]
@@ -106,7 +106,7 @@ def _draw(methods: Sequence[Row]) -> Any:
     for position, row in enumerate(methods):
         colour = palette[row["algo"]]
         for name, x, look in (("initial", -0.2, {}), ("uniform", 0.2, {"alpha": 0.45, "hatch": "//"})):
-            _draw_bar(axis, position + x, Estimate.of_row(row, name, f"{name}_"), color=colour, **look)
+            _draw_bar(axis, position + x, Estimate.of_row(row, name), color=colour, **look)
         text = f"Drop {_percent(row['drop'])}\npublished {_percent(row['published_drop'])}"
         axis.text(position, 1.06, text, ha="center", va="bottom", fontsize="small")
     axis.set_xticks(range(len(methods)), [style.method_title(row["algo"]) for row in methods])

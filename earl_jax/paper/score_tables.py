@@ -80,7 +80,7 @@ def _tests(tested: Sequence[Row]) -> str:
         digits = DIGITS.get(row["metric"], ".4f")
         means = [format(row[name], digits) for name in ("tested_mean", "other_mean")]
         names = [row["env"], row["label"], millions(row["tested_steps"])]
-        lines.append([*names, *means, *compared_texts(row, digits, "difference_"), row["chosen"]])
+        lines.append([*names, *means, *compared_texts(row, digits), row["chosen"]])
     return f"{markdown_table(TESTS, lines)}\n\n{CHOSEN_RULE}"
 
 

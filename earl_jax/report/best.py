@@ -27,7 +27,7 @@ COLUMNS: tuple[Column, ...] = (
     ("seeds", lambda row: row["seeds"]),
     ("steps", lambda row: f"{row['steps']:,}"),
     ("score [95 %]", lambda row: interval_text(*Estimate.of_row(row, "score"))),
-    ("best minus this [95 %]", lambda row: interval_text(*Estimate.of_row(row, "difference", "difference_"))),
+    ("best minus this [95 %]", lambda row: interval_text(*Estimate.of_row(row, "difference"))),
     ("adjusted p", lambda row: number_text(row["p_holm"])),
     ("verdict", lambda row: verdict_text(row)),
 )

@@ -124,12 +124,12 @@ def run_table(rows: Sequence[Row]) -> Table:
 
 
 def _interval(name: str) -> Column:
-    return f"{name}, mean [95 %]", lambda row: interval_text(*Estimate.of_row(row, name, f"{name}_"))
+    return f"{name}, mean [95 %]", lambda row: interval_text(*Estimate.of_row(row, name))
 
 
 def _crossing(level: float) -> Column:
     name = f"steps_to_{level}"
-    return f"to {level} [95 %]", lambda row: step_interval(*Estimate.of_row(row, name, f"{name}_"))
+    return f"to {level} [95 %]", lambda row: step_interval(*Estimate.of_row(row, name))
 
 
 def _number(heading: str, name: str, style: str) -> Column:
