@@ -108,7 +108,7 @@ def plot_runs(
     layout = SIZES[size]
     columns = min(layout.columns, len(cells))
     rows = -(-len(cells) // columns)
-    with style.matplotlib().rc_context({"font.size": layout.points, "text.parse_math": False}):
+    with style.matplotlib().rc_context({"font.size": layout.points}):
         figure, axes = style.new_figure(rows, columns, (layout.width, layout.height * rows))
         released = False
         for axis, (group, drawn, heading) in zip(axes.flat, cells, strict=False):
@@ -128,7 +128,7 @@ def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
     """Return the lines of `runs`; lines of different tasks that have the same name have the same colour."""
     given = labels(runs)
     distinct = list(dict.fromkeys(given))
-    titles = checked_labels(names, distinct) if names else map(style.method_title, distinct)
+    titles = map(style.plain, checked_labels(names, distinct)) if names else map(style.method_title, distinct)
     renamed = dict(zip(distinct, titles, strict=True))
     return [Line(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
 

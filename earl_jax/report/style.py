@@ -152,6 +152,11 @@ def task_title(env: str) -> str:
 
 
 def method_title(label: str) -> str:
-    """Return the label of a method, such as `naive (reward_scale=1)`, with its name as people write it."""
+    """Return the label of a method, such as `naive (reward_scale=1)`, with its name as people write it, for a picture."""
     name, bracket, options = label.partition(" (")
-    return f"{METHODS.get(name, name)}{bracket}{options}"
+    return plain(f"{METHODS.get(name, name)}{bracket}{options}")
+
+
+def plain(text: str) -> str:
+    """Return `text` so that matplotlib draws its dollar signs and no mathematics."""
+    return text.replace("$", r"\$")

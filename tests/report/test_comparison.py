@@ -105,6 +105,7 @@ def test_a_comparison_is_written_as_tables_and_a_figure(folders, tmp_path):
     tex = write_comparison(rows, tmp_path / "a.tex").read_text()
     assert tex.startswith("% The score of a seed is its mean over the evaluations")
     assert r"tabletop\_organization & naive, 5 seeds & fbrl, 5 seeds" in tex
+    rows[0]["first"] += " (demo_file=$^$)"
     assert count_pixels(write_comparison(rows, tmp_path / "a.png"), "#1f77b4") > 50
     with pytest.raises(ValueError, match=r"comparisons are written as \.md, \.tex"):
         write_comparison(rows, tmp_path / "a.html")

@@ -104,7 +104,7 @@ def test_lines_beyond_ten_colours_are_dashed_and_long_names_are_wrapped(tmp_path
     assert "C7" not in {line.get_color() for line in lines}, "matplotlib's grey looks like that of the released runs"
     assert texts(figure)[0] == "Naive RL (discount=0.9, learning_rate=0.001),\n3 seeds"
     assert figure.get_size_inches()[0] == 3.35
-    names = [[str(n) + 20 * " long" * (n < high) for n in range(12)] for high in (0, 6)]
+    names = [[f"{n}$^$" + 20 * " long" * (n < high) for n in range(12)] for high in (0, 6)]
     figures = [drawn(tmp_path, size="page", names=own) for own in names]
     for figure in figures:
         figure.draw_without_rendering()
