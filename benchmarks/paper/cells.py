@@ -24,6 +24,7 @@ from earl_jax.report.plots import plot_runs
 from earl_jax.report.pooling import read_methods
 from earl_jax.report.published import RECONSTRUCTED, chosen_words, published_score, training_steps
 from earl_jax.report.runs import Curves
+from earl_jax.report.scores import SMOOTH
 from earl_jax.report.tables import Row, csv_text, interval_text, markdown_table, millions
 from earl_jax.runs.provenance import short_commit
 
@@ -140,7 +141,7 @@ def draw() -> None:
         for name, metric in pictures.items():
             folders = [folder.path for run in of_task for folder in run.runs]
             picture = RUNS / env / f"{name}.png"
-            shrink(plot_runs(folders, picture, metric=metric, size="page", smooth=10, published=True))
+            shrink(plot_runs(folders, picture, metric=metric, size="page", smooth=SMOOTH, published=True))
 
 
 if __name__ == "__main__":

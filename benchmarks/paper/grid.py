@@ -12,6 +12,7 @@ from earl_jax.paper.artefact import METHODS, methods_on
 from earl_jax.report.plots import RELEASED, draw_curves
 from earl_jax.report.published import RECONSTRUCTED, published_beside, released_beside, share_text, training_steps
 from earl_jax.report.runs import Curves
+from earl_jax.report.scores import SMOOTH
 from earl_jax.report.style import AXES, legend_below, matplotlib, method_title, new_figure, save, step_axis, task_title
 from earl_jax.report.tables import Row, markdown_table
 
@@ -25,7 +26,6 @@ LEGEND = (
     "others by return. No runs of the Minitaur were released, so it has the printed score of the whole length. The "
     "lightbulb is our reconstruction and is not compared."
 )
-SMOOTH = 10
 OURS = {"color": "#0072B2"}
 PRINTED = {**RELEASED, "marker": "D", "linestyle": "", "markersize": 4}
 

@@ -19,7 +19,7 @@ from earl_jax.report.tables import Row, error_text, write
 from earl_jax.runs.files import written
 
 PAGES = Path(__file__).parent / "pages"
-METHODS = ("naive", "fbrl", "r3l", "vaprl", "oracle")
+METHODS = tuple(style.COLOURS)
 Options = dict[str, Any]
 
 
