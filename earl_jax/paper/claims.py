@@ -4,7 +4,7 @@ Source: Sharma et al. 2022, section 6.2.
 """
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from earl_jax import assets
@@ -19,6 +19,8 @@ from earl_jax.report.scores import over_same_steps
 from earl_jax.report.style import method_title, task_order, task_title
 from earl_jax.report.tables import markdown_table, millions
 
+Cell = tuple[str, str]
+"""A task and a method."""
 EPISODIC = "oracle"
 """The method that resets, which is no autonomous one and which table 2 lacks."""
 
@@ -86,22 +88,22 @@ def claims_text(number: int, runs: Sequence[Curves]) -> str:
 
 
 def claim_rows(number: int, runs: Sequence[Curves] | None = None) -> list[Row]:
-    """Return a row for each of `CLAIMS` about a table, tested with the first `_comparable` runs, or the published."""
-    first = {(curves.env, curves.algo): curves for curves in reversed(_comparable(runs or ()))}
-    rows = []
+    """Return a row for each of `CLAIMS` about a table, tested with the `_comparable` ones of `runs`, or the published."""
+    ours, rows = _comparable(runs or ()), []
     for claim in (claim for claim in CLAIMS if claim.number == number):
         names = [(claim.env, algo) for algo in (claim.first, claim.second) if algo]
         if runs is None:
             tested = _test(claim, [released_curves(*name) for name in names]) or _printed(claim)
         else:
-            tested = _test(claim, [first.get(name) for name in names])
+            tested = _test(claim, [ours.get(name) for name in names])
         rows.append({**claim._asdict(), "steps": None, **untested(NOT_RUN), **tested})
     return with_verdicts(rows, family=("text", "env"))
 
 
-def _comparable(runs: Sequence[Curves]) -> list[Curves]:
-    """Return those of `runs` that can be compared with the paper's, the ones with the defaults first."""
-    return sorted(filter(is_comparable, runs), key=lambda curves: bool(curves.options))
+def _comparable(runs: Sequence[Curves]) -> dict[Cell, Curves]:
+    """Return the run of each cell that can be compared with the paper's, of several the first, if possible with the defaults."""
+    ordered = sorted(filter(is_comparable, runs), key=lambda curves: bool(curves.options))
+    return {(curves.env, curves.algo): curves for curves in reversed(ordered)}
 
 
 def _test(claim: Claim, curves: Sequence[Curves | None]) -> Row:
@@ -135,20 +137,22 @@ def word(row: Row) -> str:
 
 def counted(runs: Sequence[Curves]) -> str:
     """Return the claims that count tasks of table 2, and whether they hold for the published scores and for our `runs`."""
+    comparable = _comparable(runs).items()
+    ours = {cell: [float(table_scores(number, curves).mean()) for number in (1, 2)] for cell, curves in comparable}
     return (
         f"Two more claims count tasks: naive RL is the best method on 2 tasks of table 2, and the ranks of the two "
-        f"settings disagree. In the published tables {_counts(_published())}. In our runs {_counts(_ours(runs))}. "
+        f"settings disagree. In the published tables {_counts(_published())}. In our runs {_counts(ours)}. "
         "The oracle is left out; a task counts if at least two methods have both scores. These are counts of means, without a "
         "test."
     )
 
 
-def _counts(scored: Iterable[tuple[str, str, float, float]]) -> str:
-    """Return what holds for the tasks of `scored`: task, method, J_D of the final policy and C(A), the first of each method."""
-    scores: dict[str, dict[str, tuple[float, float]]] = {}
-    for env, algo, deployed, continuing in scored:
+def _counts(scored: Mapping[Cell, Sequence[float]]) -> str:
+    """Return what holds for the tasks of `scored`: J_D of the final policy and C(A) by task and method."""
+    scores: dict[str, dict[str, Sequence[float]]] = {}
+    for (env, algo), values in scored.items():
         if algo != EPISODIC:
-            scores.setdefault(env, {}).setdefault(algo, (deployed, continuing))
+            scores.setdefault(env, {})[algo] = values
     compared = {env: scores[env] for env in task_order(scores) if len(scores[env]) > 1}
     if not compared:
         return "no task has two methods to compare"
@@ -163,27 +167,19 @@ def _counts(scored: Iterable[tuple[str, str, float, float]]) -> str:
     )
 
 
-def best(methods: Mapping[str, tuple[float, float]], score: int) -> set[str]:
+def best(methods: Mapping[str, Sequence[float]], score: int) -> set[str]:
     """Return the methods with the highest `score`: 0 for J_D, 1 for C(A)."""
     highest = max(values[score] for values in methods.values())
     return {name for name, values in methods.items() if values[score] == highest}
 
 
-def changes_order(methods: Mapping[str, tuple[float, float]]) -> bool:
+def changes_order(methods: Mapping[str, Sequence[float]]) -> bool:
     """Return whether one method is better than another by J_D and worse by C(A)."""
     pairs = itertools.combinations(methods.values(), 2)
     return any((first[0] - second[0]) * (first[1] - second[1]) < 0 for first, second in pairs)
 
 
-def _published() -> Iterator[tuple[str, str, float, float]]:
-    for row in assets.published("table2"):
-        scores = [published_score(number, row["env"], row["algo"]) for number in (1, 2)]
-        if scores[0] and scores[1]:
-            yield row["env"], row["algo"], scores[0].value, scores[1].value
-
-
-def _ours(runs: Sequence[Curves]) -> Iterator[tuple[str, str, float, float]]:
-    """Yield the mean scores of the runs that can be compared with the paper's."""
-    for curves in _comparable(runs):
-        deployed, continuing = (float(table_scores(number, curves).mean()) for number in (1, 2))
-        yield curves.env, curves.algo, deployed, continuing
+def _published() -> dict[Cell, Sequence[float]]:
+    cells = [(row["env"], row["algo"]) for row in assets.published("table2")]
+    pairs = {cell: (published_score(1, *cell), published_score(2, *cell)) for cell in cells}
+    return {cell: (first.value, second.value) for cell, (first, second) in pairs.items() if first and second}
