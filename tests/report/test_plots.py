@@ -33,6 +33,7 @@ def drawn(monkeypatch, tmp_path):
 
     def draw(*folders, **options):
         plot_runs(folders, str(tmp_path / "x.pdf"), **options)
+        figures[-1].draw_without_rendering()
         return figures[-1]
 
     return draw
@@ -89,8 +90,7 @@ def test_a_single_evaluation_is_drawn_as_dots(tmp_path, drawn):
     metrics = {"continuing/reward": 0.1}
     write_run(tmp_path / "many", TABLETOP, "naive", rising(3, 1), metrics=metrics)
     write_run(tmp_path / "few", TABLETOP, "fbrl", rising(2, 1), metrics=metrics)
-    lines = drawn(tmp_path).axes[0].lines
-    assert [line.get_marker() for line in lines] == ["o"] * 4
+    assert [line.get_marker() for line in drawn(tmp_path).axes[0].lines] == ["o"] * 4
 
 
 def test_lines_beyond_ten_colours_are_dashed_and_long_names_are_wrapped(tmp_path, drawn):
@@ -105,10 +105,7 @@ def test_lines_beyond_ten_colours_are_dashed_and_long_names_are_wrapped(tmp_path
     assert texts(figure)[0] == "Naive RL (discount=0.9, learning_rate=0.001),\n3 seeds"
     assert figure.get_size_inches()[0] == 3.35
     names = [[f"{n}$^$" + 20 * " long" * (n < high) for n in range(12)] for high in (0, 6)]
-    figures = [drawn(tmp_path, size="page", names=own) for own in names]
-    for figure in figures:
-        figure.draw_without_rendering()
-    short, long = (figure.axes[0].get_window_extent().height for figure in figures)
+    short, long = (drawn(tmp_path, size="page", names=own).axes[0].get_window_extent().height for own in names)
     assert long == pytest.approx(short, rel=0.05), "a legend with one high column takes no height of the panels"
 
 
@@ -118,7 +115,6 @@ def test_long_titles_are_wrapped(tmp_path, drawn):
     for name, changed in {"a": options, "b": {}}.items():
         write_run(tmp_path / name, TABLETOP, "naive", rising(3, 3), metrics=METRICS, **changed)
     figure = drawn(tmp_path, size="page", published=True)
-    figure.draw_without_rendering()
     left, right = (axis.title.get_window_extent() for axis in figure.axes[:2])
     assert 0 <= left.x0 < left.x1 < right.x0 < right.x1 <= figure.bbox.x1
 

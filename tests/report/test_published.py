@@ -37,8 +37,7 @@ def test_released_success_is_a_share_of_ten_episodes_without_the_rounding_of_sin
 
 
 def test_a_share_of_the_steps_has_two_digits_and_no_exponent():
-    shares = [share_text(steps, 1_000_000) for steps in (48, 120_000, 999_000)]
-    assert shares == ["0.0048 %", "12 %", "99 %"]
+    assert [share_text(steps, 1_000_000) for steps in (48, 120_000, 999_000)] == ["0.0048 %", "12 %", "99 %"]
 
 
 def test_a_score_without_an_error_is_no_sample():
