@@ -63,7 +63,7 @@ def _warn_of_unread(error: OSError) -> None:
 
 
 def gather(
-    folders: Sequence[Path], check: Check = lambda curves: None, window: Window = DEFAULT
+    folders: Sequence[Path], window: Window = DEFAULT, check: Check = lambda curves: None
 ) -> tuple[list[Curves], dict[Path, str]]:
     """Return the curves of the runs that `find_runs` finds, and the causes of those that are left out, by folder.
 
@@ -151,7 +151,7 @@ def read_all(folders: Sequence[Path], window: Window = DEFAULT, check: Check = l
     Raises:
         ValueError: as `gather`, or one of `folders` is itself a run that is left out.
     """
-    runs, left_out = gather(folders, check, window)
+    runs, left_out = gather(folders, window, check)
     for path, cause in left_out.items():
         if path in folders:
             raise InputError(cause)

@@ -50,7 +50,7 @@ def write_page(
     """
     out = Path(out)
     environment, plotly = _libraries(out)
-    runs, left_out = gather(folders, _check, window)
+    runs, left_out = gather(folders, window, _check)
     for cause in left_out.values():
         warnings.warn(f"left out: {cause}", RunWarning, stacklevel=2)
     content = page_content(lines_of(runs), policies)
