@@ -79,8 +79,8 @@ def _scores_row(measure: str, scores: np.ndarray, others: np.ndarray, rate: bool
     own, test = mean_interval(scores, rate), comparison_columns(scores, others)
     return {
         "env": TABLETOP, "first": f"{TWO}, {measure}", "second": ONE, "steps": training_steps(TABLETOP),
-        "seeds": len(scores), "other_seeds": len(others), "mean": own.value, "mean_low": own.low, "mean_high": own.high,
-        **test, "mean_over": "episodes from such starts",
+        "seeds": len(scores), "other_seeds": len(others), **own.columns("mean", "mean_"), **test,
+        "mean_over": "episodes from such starts",
     }  # fmt: skip
 
 

@@ -228,7 +228,7 @@ def add(run: Path, root: Path = RESULTS) -> Path:
     _require(bool(commit), "its config.json has neither a commit nor a release")
     _require(not commit.endswith(CHANGED), f"{short_commit(commit)} lacks changes that it was trained with")
     _require(bool(COMMIT.fullmatch(commit)) or commit in releases, f"{commit} is neither a commit nor in CHANGELOG.md")
-    known = {pooling_key(read(folder).config): folder for folder in folders(root)}
+    known = {pooling_key(RunFolder.open(folder).config): folder for folder in folders(root)}
     other = known.get(pooling_key(config))
     _require(other is None, f"{other} has the same task, method and options")
     target = root / "leaderboard" / config.env / f"{config.algo}-{RunFolder.open(run).id[:8]}"
