@@ -15,13 +15,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from scipy import stats
 
 from benchmarks.output import RESULTS, ROOT, pages_with, write_files
 from earl_jax import assets
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import CANNOT_TELL, rate_interval
+from earl_jax.metrics.comparison import CANNOT_TELL, error_interval
 from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.paper.artefact import methods_on
@@ -118,8 +117,7 @@ def _newer_row(row: dict[str, str]) -> Row:
     """Return a row of newer.csv, whose standard errors divide the population's deviation by sqrt(n)."""
     mean, seeds = float(row["mean"]), int(row["seeds"])
     error = float(row["stderr"] or "nan") * math.sqrt(seeds / (seeds - 1))
-    half = float(stats.t.ppf(0.975, seeds - 1)) * error
-    low, high = rate_interval(mean, error, seeds) if make(row["env"]).sparse else (mean - half, mean + half)
+    low, high = error_interval(mean, error, seeds, make(row["env"]).sparse)
     return EMPTY | {
         "env": row["env"],
         "method": row["method"],

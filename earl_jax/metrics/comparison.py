@@ -67,19 +67,20 @@ def verdict(difference: float, p: float) -> str:
 
 
 def mean_interval(scores: np.ndarray, rate: bool = False) -> Estimate:
-    """Return the mean of `scores [seeds, ...]` with a 95 % interval, whose ends are nan for fewer than three seeds.
-
-    It is Student's interval, or for a `rate` from 0 to 1 that of `rate_interval`.
-    """
+    """Return the mean of `scores [seeds, ...]` with its `error_interval`, whose ends are nan for fewer than three seeds."""
     scores = np.asarray(scores, float)
     mean, seeds = scores.mean(axis=0), len(scores)
     if seeds < FEWEST_SEEDS:
         low = high = np.full_like(mean, math.nan)
     else:
-        error = scores.std(axis=0, ddof=1) / math.sqrt(seeds)
-        half = _quantile(seeds) * error
-        low, high = rate_interval(mean, error, seeds) if rate else (mean - half, mean + half)
+        low, high = error_interval(mean, scores.std(axis=0, ddof=1) / math.sqrt(seeds), seeds, rate)
     return Estimate(*(end if mean.ndim else float(end) for end in (mean, low, high)))
+
+
+def error_interval(mean: Any, error: Any, seeds: int, rate: bool) -> tuple[Any, Any]:
+    """Return Student's 95 % interval of a `mean [...]` with its standard error over seeds, or the `rate_interval` of a `rate`."""
+    half = _quantile(seeds) * error
+    return rate_interval(mean, error, seeds) if rate else (mean - half, mean + half)
 
 
 def rate_interval(mean: Any, error: Any, seeds: int) -> tuple[Any, Any]:

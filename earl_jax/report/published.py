@@ -8,13 +8,11 @@ import math
 from decimal import Decimal
 from typing import NamedTuple
 
-from scipy import stats
-
 from earl_jax import assets
 from earl_jax.algos.method import kept_transitions
 from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
-from earl_jax.metrics.comparison import Sample, rate_interval
+from earl_jax.metrics.comparison import Sample, error_interval
 from earl_jax.metrics.scores import CONTINUING, DEFAULT, as_decimals
 from earl_jax.options.schedule import Schedule
 from earl_jax.report.runs import Curves
@@ -99,12 +97,11 @@ class PublishedScore(NamedTuple):
         sample = self.sample
         if sample is None:
             return None
-        rounding, spread = _half_unit(self.mean), float(stats.t.ppf(0.975, SEEDS - 1)) * sample.stderr
-        if not 0 <= sample.mean <= 1:
-            return sample.mean - spread - rounding, sample.mean + spread + rounding
-        error = sample.stderr if float(self.stderr) else 0.0
-        low, high = rate_interval(sample.mean, error, SEEDS)
-        return max(0.0, float(low) - rounding), min(1.0, float(high) + rounding)
+        rounding, rate = _half_unit(self.mean), 0 <= sample.mean <= 1
+        error = 0.0 if rate and not float(self.stderr) else sample.stderr
+        low, high = error_interval(sample.mean, error, SEEDS, rate)
+        low, high = float(low) - rounding, float(high) + rounding
+        return (max(0.0, low), min(1.0, high)) if rate else (low, high)
 
     @property
     def sample(self) -> Sample | None:
