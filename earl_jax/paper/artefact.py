@@ -69,6 +69,8 @@ class Artefact:
     tasks: tuple[str, ...]
     blocks: Callable[[str], list[Block]]
     report: Callable[[Sequence[Path]], Report]
+    variants: bool = False
+    """Whether `report` takes runs of a method that differ in other options than those of its block."""
 
     def write(self, folders: Sequence[Path], out: Path) -> list[Path]:
         """Write the report on run `folders` into `out` and return its files: csv, md, png. Raises as `report`."""

@@ -16,7 +16,7 @@ from earl_jax.options import imports
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import COUNT, TimeLimit, require
-from earl_jax.paper.artefact import Block, Options
+from earl_jax.paper.artefact import Artefact, Block, Options
 from earl_jax.paper.figure2 import FIGURE2
 from earl_jax.paper.figure3 import FIGURE3
 from earl_jax.paper.figure4 import FIGURE4
@@ -79,7 +79,7 @@ def reproduce(
         tasks: only these of the artefact's tasks.
         seeds: number of seeds instead of the scale's.
         steps: length of the runs instead of the scale's, of which the part after the last whole `eval_every` is left out.
-        options: of tasks or methods, for every run; a list holds alternatives.
+        options: of tasks or methods, for every run; a list holds alternatives, which tables and figure 5 show.
         max_lanes: lanes of the largest program.
         devices: number of devices that share the lanes of a program.
         per_device: number of programs that train on each GPU at a time, as `sweep` takes it.
@@ -142,10 +142,10 @@ def grid_text(
             raise InputError(f"{name} has no task {task!r}; choose from {', '.join(made.tasks)}")
     chosen = dataclasses.replace(chosen, seeds=seeds or chosen.seeds, steps=steps or chosen.steps)
     blocks = [block for task in tasks or made.tasks[: chosen.tasks] for block in made.blocks(task)[: chosen.blocks]]
-    return "\n".join(line for block in blocks for line in _block_lines(block, chosen, options or {}))
+    return "\n".join(line for block in blocks for line in _block_lines(made, block, chosen, options or {}))
 
 
-def _block_lines(block: Block, scale: Scale, options: Options) -> list[str]:
+def _block_lines(made: Artefact, block: Block, scale: Scale, options: Options) -> list[str]:
     length = scale.steps or round(scale.share * block.steps)
     eval_every = min(scale.eval_every * block.eval_every_factor, length)
     steps = length // eval_every * eval_every
@@ -162,6 +162,9 @@ def _block_lines(block: Block, scale: Scale, options: Options) -> list[str]:
     sizes = merged.get("hidden_sizes")
     if sizes and isinstance(sizes, list | tuple) and not isinstance(sizes[0], list):
         merged["hidden_sizes"] = [sizes]
+    for option in options if not made.variants else ():
+        if option not in block.options and isinstance(merged[option], list | tuple) and len(merged[option]) > 1:
+            raise InputError(f"{made.name} takes no runs that differ in {option}; give it one value")
     return ["[[runs]]", *_toml_lines(run), "[runs.options]", *_toml_lines(merged), ""]
 
 

@@ -154,5 +154,6 @@ def _draw_task(axis: Any, rows: Sequence[Row], palette: dict[str, str]) -> None:
 
 
 TABLE1, TABLE2 = (
-    Artefact(f"table{number}", PAPER_TASKS, runs_of(*METHODS), functools.partial(report, number)) for number in (1, 2)
+    Artefact(f"table{number}", PAPER_TASKS, runs_of(*METHODS), functools.partial(report, number), variants=True)
+    for number in (1, 2)
 )

@@ -193,6 +193,10 @@ def test_a_missing_library_is_named_before_any_training(tmp_path, monkeypatch):
         ({"name": "table1", "steps": -1}, r"steps must lie in \[1, 2147483647\], not -1"),
         ({"name": "table1", "minutes": 0}, r"minutes must lie in \(0, inf\), not 0"),
         ({"name": "table1", "seeds": 0}, "seeds must name at least one, not 0"),
+        (
+            {"name": "figure2", "options": {"train_horizon": [4, 8], "hidden_sizes": [8, 8], "discount": [0.9, 0.99]}},
+            "figure2 takes no runs that differ in discount; give it one value",
+        ),
     ],
 )
 def test_invalid_arguments_are_reported_and_start_no_run(tmp_path, arguments, message):
