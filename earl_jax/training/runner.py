@@ -40,7 +40,8 @@ from earl_jax.training.stopping import Stopped, StopRequest
 class Run:
     """One of the runs of a program, with the objects of its config.
 
-    `method` has leaves [n]. `folder`, if there is one, and `listeners` receive its metrics; `table` has those so far.
+    `method` has leaves [n]. `folder`, if there is one, and `listeners` receive its metrics; `table` has them once the logs are
+    closed.
     """
 
     config: RunConfig
@@ -66,21 +67,23 @@ class Run:
     def logged(self, step: int) -> Iterator[None]:
         """Open the logs of this run at `step`; metrics of later steps are dropped and logged again."""
         self.table = self.folder.table_until(step) if self.folder and first_host() else Table()
+        self._evaluations: list[tuple[int, dict[str, np.ndarray]]] = []
         unfinished = step < self.config.steps and first_host()
         self._logs = open_logs(self.folder, self.listeners, step) if unfinished else []
         try:
             yield
+            self.table = self.table.extended(self._evaluations)
         finally:
             for log in self._logs:
                 OptionalLog(type(log).__name__, log).close()
 
     def add(self, step: int, metrics: dict[str, np.ndarray]) -> None:
-        """Write `metrics [n]` at `step` to the folder and to every log, and keep them in the table."""
+        """Write `metrics [n]` at `step` to the folder and to every log, and keep them for the table."""
         if self.folder and first_host():
             self.folder.append(step, metrics)
         for log in self._logs:
             log.log(step, {name: values.copy() for name, values in metrics.items()})
-        self.table = self.table.extended(step, metrics)
+        self._evaluations.append((step, metrics))
 
 
 @functools.partial(jax.jit, static_argnames=("problem", "steps", "mesh"))
