@@ -79,8 +79,10 @@ def mean_interval(scores: np.ndarray, rate: bool = False) -> Estimate:
 
 def error_interval(mean: Any, error: Any, seeds: int, rate: bool) -> tuple[Any, Any]:
     """Return Student's 95 % interval of a `mean [...]` with its standard error over seeds, or the `rate_interval` of a `rate`."""
+    if rate:
+        return rate_interval(mean, error, seeds)
     half = _quantile(seeds) * error
-    return rate_interval(mean, error, seeds) if rate else (mean - half, mean + half)
+    return mean - half, mean + half
 
 
 def rate_interval(mean: Any, error: Any, seeds: int) -> tuple[Any, Any]:

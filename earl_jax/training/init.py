@@ -83,8 +83,10 @@ def check_lanes(problem: Problem, method: Method, state: TrainState) -> None:
         if ((indices < 0) | (indices >= count)).any():
             given = f"next_goal returned the indices {brief(indices)} as the {name} of its lanes"
             raise InputError(f"{method.name}: {given}; on this task they are 0 to {count - 1}")
+    if gathered(state.step):
+        return
     for name in ("obs", "reward"):
-        if not gathered(state.step) and not np.isfinite(start := gathered(getattr(lanes.env_state, name))).all():
+        if not np.isfinite(start := gathered(getattr(lanes.env_state, name))).all():
             raise InputError(f"{env.name}: {name} must be finite after reset, not {brief(start)}")
 
 

@@ -83,7 +83,7 @@ def panels(lines: Sequence[Line]) -> list[dict[str, Any]]:
     plots = []
     for panel in PANELS:
         pairs = [(line, panel.metric or line.curves.deployed_metric) for line in lines]
-        pairs = [pair for pair in pairs if np.isfinite(pair[0].curves.metrics.get(pair[1], np.nan)).any()]
+        pairs = [(line, metric) for line, metric in pairs if np.isfinite(line.curves.metrics.get(metric, np.nan)).any()]
         if not pairs or not (panel.always or any(line.curves.metrics[metric].any() for line, metric in pairs)):
             continue
         rates = pairs[0][1] in RATES
