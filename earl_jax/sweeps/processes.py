@@ -29,8 +29,8 @@ MARK = "\x1e"
 
 
 def report(**event: Any) -> None:
-    """Print `event`, in the process of a worker."""
-    print(f"{MARK}{json.dumps(event)}", flush=True)
+    """Print `event`, in the process of a worker, in one write, between whose parts no other thread can print."""
+    print(f"{MARK}{json.dumps(event)}\n", end="", flush=True)
 
 
 def start(task: Task, slot: Slot) -> subprocess.Popen[str]:

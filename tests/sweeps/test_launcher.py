@@ -48,6 +48,13 @@ def test_a_sweep_of_an_own_method_continues_after_a_kill_and_loses_nothing(grid,
     assert all(len(table.splitlines()) == 1 + 2 * 20 for table in read_tables(whole).values())
 
 
+def test_an_event_is_one_write_so_that_no_other_thread_can_print_into_it(monkeypatch):
+    written = []
+    monkeypatch.setattr(sys, "stdout", SimpleNamespace(write=written.append, flush=lambda: None))
+    processes.report(state="refused", detail="why")
+    assert list(filter(None, written)) == ['\x1e{"state": "refused", "detail": "why"}\n']
+
+
 FAILING = """
 print("a stray line", '{"state": "stray"} without an end', sep=os.linesep, end="", flush=True)
 if name == "c":
