@@ -33,6 +33,10 @@ KITCHEN_NAIVE, KITCHEN_FBRL, KITCHEN_R3L = (
     f"franka_kitchen/{run}" for run in ("naive/replay_capacity_None", "fbrl/commit_c7e2d9e", "r3l/commit_c7e2d9e")
 )
 """The kitchen's runs that have an evaluation every `LONG` steps."""
+TASK_REWARD = "phase_reward_r3l/task_reward"
+"""The metric of phase_rewards.py: the mean reward in the task controller's replay."""
+WHOLE_REPLAY = 2_000_000
+"""The steps after which the replay of a controller, which takes half of them, begins to lose some."""
 HEADER = "run", "measure of a seed", "steps", "ours", "published", "p", "our seeds", "published seeds"
 
 
@@ -63,6 +67,11 @@ def after_reset_or_all(curves: Curves) -> np.ndarray:
     return beside_reset(curves, LONG) if curves.runs else reward(curves)
 
 
+def task_controller(curves: Curves) -> np.ndarray:
+    """Return the mean reward [N] of our task controllers' steps up to `WHOLE_REPLAY`, and of the released lives that of all."""
+    return _last(curves, TASK_REWARD if curves.runs else CONTINUING, WHOLE_REPLAY)
+
+
 def _long_rates(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
     """Return the ends [I] of the last intervals of `LONG` steps, and their rewards per step [N, I]."""
     rates, rows = _rates(curves), LONG // curves.config.schedule.eval_every
@@ -72,7 +81,12 @@ def _long_rates(curves: Curves) -> tuple[np.ndarray, np.ndarray]:
 
 def reward(curves: Curves, end: float = np.inf) -> np.ndarray:
     """Return the reward [N] per step of the life, up to `end` steps."""
-    return curves.metrics[CONTINUING][:, curves.steps <= end][:, -1]
+    return _last(curves, CONTINUING, end)
+
+
+def _last(curves: Curves, name: str, end: float) -> np.ndarray:
+    """Return the metric `name` [N] at the last evaluation up to `end` steps."""
+    return curves.metrics[name][:, curves.steps <= end][:, -1]
 
 
 def _rates(curves: Curves) -> np.ndarray:
@@ -120,6 +134,13 @@ MEASURES: tuple[tuple[str, str, Measure], ...] = (
     ("tabletop_organization/r3l/perturbation_demos", "reward per step", reward),
     ("tabletop_organization/r3l/timeout_bootstrap", "reward per step", reward),
     ("franka_kitchen/r3l/released_resets", "reward per step", reward),
+    ("franka_kitchen/r3l/phase_rewards", "reward per step", reward),
+    ("franka_kitchen/r3l/phase_rewards", "reward per step up to 2M steps", functools.partial(reward, end=WHOLE_REPLAY)),
+    (
+        "franka_kitchen/r3l/phase_rewards",
+        "reward per step of the task controller up to 2M, the paper's of all",
+        task_controller,
+    ),
 )
 STYLES = {"share": ".2f", "correlation": ".2f", "reward": ".3g"}
 """The format of a measure's numbers by its first word."""
@@ -142,7 +163,8 @@ def measured(run: str, name: str, measure: Measure) -> Row:
 def _between(curves: Curves, first: int, last: int) -> Curves:
     """Return the evaluations from the step `first` to `last`, both included."""
     kept = (curves.steps >= first) & (curves.steps <= last)
-    metrics = {name: curves.metrics[name][:, kept] for name in (CONTINUING, curves.deployed_metric)}
+    wanted = {CONTINUING, curves.deployed_metric, TASK_REWARD}
+    metrics = {name: values[:, kept] for name, values in curves.metrics.items() if name in wanted}
     return curves._replace(steps=curves.steps[kept], metrics=metrics)
 
 
