@@ -257,10 +257,6 @@ def test_the_members_of_a_task_are_few_and_those_to_write_fewer(cls, count, writ
     assert cls.__abstractmethods__ == WRITTEN | written
 
 
-def test_the_goal_of_a_task_changes_every_two_evaluation_horizons_unless_it_says_otherwise():
-    assert Chain(eval_horizon=7).continuing == (14, None)
-
-
 def test_options_of_another_type_are_refused_and_literals_of_a_base_stay_choices():
     dense = dataclasses.make_dataclass("Dense", [("reward_type", str, "dense")], bases=(Chain,), frozen=True)
     with pytest.raises(ValueError, match="reward_type 'other' is not one of sparse, dense"):

@@ -216,13 +216,9 @@ def test_balanced_pairs_take_the_chance_out_of_the_score_of_a_policy_if_the_prot
     dense = dataclasses.replace(env, reward_type="dense")
 
     def scores(pairs):
-        protocol = Protocol(0, 2, eval_episodes=4, eval_pairs=pairs)
-
-        def measured(key):
-            life = init(dense, protocol, key)
-            return evaluate(dense, protocol, life, lambda obs: jnp.zeros(env.action_size))[1]["deployed/return"]
-
-        return jax.vmap(measured)(jax.random.split(jax.random.key(0), 12))
+        deployed, still = Protocol(0, 2, eval_episodes=4, eval_pairs=pairs).deployed, jnp.zeros(env.action_size)
+        keys = jax.random.split(jax.random.key(0), 12)
+        return jax.vmap(lambda key: deployed(dense, lambda obs: still, key)["deployed/return"])(keys)
 
     random, balanced = np.asarray(jax.jit(lambda: [scores(pairs) for pairs in ("random", "balanced")])())
     assert np.ptp(balanced) < 1e-5 < 0.1 < np.ptp(random)

@@ -20,12 +20,12 @@ def test_a_setting_combines_its_own_options_with_the_numbers_of_the_task(env):
     assert Deployment(eval_pairs="balanced").protocol(env) == Protocol(200_000, 200, eval_pairs="balanced")
 
 
-def test_the_lifelong_h_t_of_a_task_can_be_never():
+def test_the_lifelong_h_t_of_a_task_can_be_never_and_its_goal_changes_every_two_evaluation_horizons():
     class Endless(Chain):
         continuing = ContinuingDefaults(goal_change=8, train_horizon=0)
 
     assert Continuing().protocol(Endless()).train_horizon == 0
-    assert Continuing().protocol(Chain()).train_horizon == Chain().train_horizon
+    assert Continuing().protocol(Chain(eval_horizon=7)) == Protocol(Chain.train_horizon, 7, goal_change=14)
 
 
 def test_an_explicit_h_t_that_equals_the_tasks_default_holds():

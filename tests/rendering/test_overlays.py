@@ -2,7 +2,6 @@
 
 import xml.etree.ElementTree as ET
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -13,28 +12,18 @@ from earl_jax.rendering.overlays import merge, with_overlay
 from earl_jax.rendering.scenes import cameras
 
 MODELS = sorted(path.stem for path in (assets.root() / "mjcf").glob("*.xml"))
-SIZES = ("nq", "nv", "nu", "nbody", "nmocap")
-PHYSICS = ("qpos0", "jnt_type", "jnt_range", "jnt_axis", "body_mass", "body_inertia", "body_pos", "body_parentid")
-
-
-def body_positions(model, qpos, mocap_pos, mocap_quat):
-    data = mujoco.MjData(model)
-    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = qpos, mocap_pos, mocap_quat
-    mujoco.mj_kinematics(model, data)
-    return data.xpos
+FIELDS = """nq nv nu nbody nmocap qpos0 jnt_type jnt_range jnt_axis jnt_pos
+    body_mass body_inertia body_pos body_quat body_parentid"""
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_an_overlay_leaves_the_physics_unchanged(name):
     plain, overlaid = load_model(name), with_overlay(name)
     assert overlaid.ngeom > plain.ngeom
-    assert [getattr(overlaid, size) for size in SIZES] == [getattr(plain, size) for size in SIZES]
     bodies = [[model.body(i).name for i in range(model.nbody)] for model in (plain, overlaid)]
     assert bodies[0] == bodies[1]
-    for field in PHYSICS:
+    for field in FIELDS.split():
         np.testing.assert_array_equal(getattr(overlaid, field), getattr(plain, field), field)
-    pose = plain.qpos0 + 0.1, np.ones((plain.nmocap, 3)), np.ones((plain.nmocap, 4))
-    np.testing.assert_array_equal(body_positions(overlaid, *pose), body_positions(plain, *pose))
 
 
 @pytest.mark.parametrize("name", list_envs())

@@ -17,25 +17,23 @@ from tests.envs.chain import Chain
 LEFT, RIGHT, HELP = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]], np.float32)
 
 
-def start_state(env, position=None, asked=0, enforced=0):
-    """Return a state of `env` with the chain's goal, at `position` after so many interventions."""
+def start_state(env, asked=0):
+    """Return the start of `env` with the chain's goal, after so many requests for help."""
     state = env.with_goal(env.reset(jax.random.key(0)), jnp.asarray(env.goal_states[0]))
-    inner = env.task.state_at(env.task.start if position is None else position, state.data.info["goal"])
-    left = env.budget - asked * env.help_cost - enforced * env.enforced_cost
-    counts = {"asked": jnp.asarray(asked, jnp.int32), "enforced": jnp.asarray(enforced, jnp.int32)}
-    return env._augmented(inner, {**state.info, **counts, "budget": jnp.asarray(left, jnp.float32)})
+    left = jnp.asarray(env.budget - asked * env.help_cost, jnp.float32)
+    return env._augmented(state.data, {**state.info, "asked": jnp.asarray(asked, jnp.int32), "budget": left})
 
 
-def run_actions(env, actions, **start):
+def run_actions(env, actions, asked=0):
     """Return the states [T + 1] before and after every one of the `actions [T, a]`, from `start_state`."""
 
     @jax.jit
-    def run(actions, start):
-        first = start_state(env, **start)
+    def run(actions, asked):
+        first = start_state(env, asked)
         _, rest = jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, first, actions)
         return jax.tree.map(lambda leaf, more: jnp.concatenate([jnp.asarray(leaf)[None], more]), first, rest)
 
-    return jax.device_get(run(np.asarray(actions), start))
+    return jax.device_get(run(np.asarray(actions), asked))
 
 
 @pytest.mark.parametrize(("budget", "cost", "last"), [(3.0, 1.0, 12), (2.5, 1.0, 12), (1.0, 0.25, 16), (1.0, 0.0, 99)])
