@@ -24,9 +24,8 @@ RELEASED_START = np.array(
 )
 """The released `init_qpos` of arm and fingers."""
 PARTS = {
-    **{"micro": {22}, "hinge": {20, 21}, "slide": {19}, "light": {17, 18}},
-    **{"bottom_burner": {11, 12}, "top_burner": {15, 16}},
-}
+    "micro": {22}, "hinge": {20, 21}, "slide": {19}, "light": {17, 18}, "bottom_burner": {11, 12}, "top_burner": {15, 16}
+}  # fmt: skip
 """Indices into a state of what the appliances change."""
 
 

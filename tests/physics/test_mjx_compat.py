@@ -31,8 +31,9 @@ def test_a_jaxlib_without_the_slow_fusion_and_an_accelerator_are_left_alone(monk
     assert not mjx_compat.needs_guard()
 
 
-def cone_rows(sizes):
-    """Return the constraint rows, the contacts and the cones of contacts with `sizes` rows, and the sum as MJX forms it."""
+@pytest.mark.parametrize("sizes", [[3, 3], [4, 1, 4, 3], [6], [1]])
+def test_the_sum_over_contacts_is_the_product_with_the_matrix_of_all_rows(sizes):
+    """Contacts with `sizes` rows, and the sum as MJX forms it."""
     first, total, rng = 3, 3 + sum(sizes) + 1, np.random.default_rng(3)
     addresses = first + np.cumsum([0, *sizes[:-1]])
     jacobian = rng.normal(size=(total, 4)).astype(np.float32)
@@ -42,11 +43,5 @@ def cone_rows(sizes):
         if size > 1:
             matrix[start : start + size, start : start + size] = next(cone)[:size, :size]
     contact = types.SimpleNamespace(dim=np.array(sizes), efc_address=addresses)
-    return jacobian, contact, cones, jacobian.T @ matrix @ jacobian
-
-
-@pytest.mark.parametrize("sizes", [[3, 3], [4, 1, 4, 3], [6], [1]])
-def test_the_sum_over_contacts_is_the_product_with_the_matrix_of_all_rows(sizes):
-    jacobian, contact, cones, expected = cone_rows(sizes)
     hessian = jax.jit(lambda *arrays: mjx_compat._cone_hessian(arrays[0], contact, arrays[1]))(jacobian, cones)
-    np.testing.assert_allclose(hessian, expected, atol=1e-4)
+    np.testing.assert_allclose(hessian, jacobian.T @ matrix @ jacobian, atol=1e-4)
