@@ -17,9 +17,8 @@ from tests.envs.chain import Chain
 from tests.envs.programs import first_state, program, starts
 
 EVERY_TASK = pytest.mark.parametrize("name", list_envs())
-VARIANTS = [(name, {"variant": "paper"}) for name in list_envs() if "variant" in env_class(name).__dataclass_fields__]
-OPTIONS = [*[(name, {"reward_type": reward}) for name in list_envs() for reward in ("sparse", "dense")], *VARIANTS]
-ENVS = [make(name, **options) for name, options in OPTIONS]
+VARIANTS = [make(name, variant="paper") for name in list_envs() if "variant" in env_class(name).__dataclass_fields__]
+ENVS = [*[make(name, reward_type=reward) for name in list_envs() for reward in ("sparse", "dense")], *VARIANTS]
 IN_FLOAT64 = [
     ("tabletop_organization", None),
     ("minitaur_pen", "c"),

@@ -1,8 +1,8 @@
 """Jobs in a CUDA stream, with a driver in Python that does at once what a stream does in order."""
 
 import ctypes
-import time
 from ctypes import c_int32, c_int64
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,55 +10,38 @@ import pytest
 from earl_jax.physics.host_call import cuda
 from earl_jax.physics.host_call.workers import Workers
 from earl_jax.physics.host_call.xla_ffi import Buffer
-from tests.physics.host_work import double, refuse
+from tests.physics.host_work import double, refuse, wait_for
 
 COLUMNS, WIDTH = 4, 2
-DRIVERS = []
-"""The drivers of all tests: a worker may still write to their memory when its test has ended."""
 
 
-class Driver:
-    """The functions of libcuda that a stream of jobs calls."""
+def copy(target, source, size, _):
+    ctypes.memmove(target.value, source.value, size.value)
+    return 0
 
-    def __init__(self):
-        self.memory = []
-        self.functions = {
-            "cuMemcpyDtoHAsync_v2": self.copy,
-            "cuMemcpyHtoDAsync_v2": self.copy,
-            "cuMemsetD32Async": self.fill,
-            "cuStreamWriteValue32_v2": self.write,
-            "cuStreamWaitValue32_v2": self.wait,
-        }
-        DRIVERS.append(self)
 
-    def __getattr__(self, name):
-        if name not in cuda.FUNCTIONS:
-            raise AttributeError(name)
-        return self.functions.get(name, lambda *_: 0)
+def fill(address, value, count, _):
+    np.ctypeslib.as_array((c_int32 * count.value).from_address(address.value))[:] = value
+    return 0
 
-    def copy(self, target, source, size, _):
-        ctypes.memmove(target.value, source.value, size.value)
-        return 0
 
-    def fill(self, address, value, count, _):
-        np.ctypeslib.as_array((c_int32 * count.value).from_address(address.value))[:] = value
-        return 0
+def write(_, address, value, flags):
+    c_int32.from_address(address.value).value = value.value
+    return int(flags.value != cuda.SYSTEM_WIDE)
 
-    def write(self, _, address, value, flags):
-        c_int32.from_address(address.value).value = value.value
-        return int(flags.value != cuda.SYSTEM_WIDE)
 
-    def wait(self, _, address, value, flags):
-        deadline = time.monotonic() + 10
-        while c_int32.from_address(address.value).value < value.value:
-            assert time.monotonic() < deadline, "the job was not done"
-            time.sleep(1e-4)
-        return int(flags.value != cuda.AT_LEAST)
+def wait(_, address, value, flags):
+    wait_for(lambda: c_int32.from_address(address.value).value >= value.value)
+    return int(flags.value != cuda.AT_LEAST)
 
 
 @pytest.fixture(autouse=True)
 def driver(monkeypatch):
-    fake = Driver()
+    """The functions of libcuda that a stream of jobs calls."""
+    copies = {"cuMemcpyDtoHAsync_v2": copy, "cuMemcpyHtoDAsync_v2": copy, "cuMemHostRegister_v2": lambda *_: 0}
+    words = {"cuMemsetD32Async": fill, "cuStreamWriteValue32_v2": write, "cuStreamWaitValue32_v2": wait}
+    fake = SimpleNamespace(**copies, **words)
+    assert vars(fake).keys() == set(cuda.FUNCTIONS)
     monkeypatch.setattr(cuda, "driver", lambda: fake)
     return fake
 
@@ -128,7 +111,7 @@ def test_a_job_that_is_in_progress_for_too_long_is_an_error():
 
 def test_jobs_of_other_axes_share_the_memory_of_jobs_with_as_many_rows(driver):
     stream, locked = stream_of(double), []
-    driver.functions["cuMemHostRegister_v2"] = lambda address, *_: locked.append(address.value) or 0
+    driver.cuMemHostRegister_v2 = lambda address, *_: locked.append(address.value) or 0
     for shape in ((6,), (2, 3), (6,), (3, 2), (2, 2)):
         call = Call(5, shape)
         call.start(stream)
@@ -146,7 +129,7 @@ def test_a_failed_job_does_not_block_the_stream_and_is_raised_by_the_next_call()
 
 
 def test_an_error_of_the_driver_names_the_function(driver):
-    driver.functions["cuStreamWriteValue32_v2"] = lambda *_: 700
+    driver.cuStreamWriteValue32_v2 = lambda *_: 700
     stream = stream_of(double)
     with pytest.raises(RuntimeError, match="cuStreamWriteValue32_v2 failed with CUDA error 700"):
         Call(1).start(stream)

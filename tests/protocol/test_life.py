@@ -35,21 +35,21 @@ class OneGoal(Chain):
         return np.array([[self.goal]], np.float32)
 
 
-def live(env, protocol, actions, keys=KEYS, rules=None, attempt_steps=1000):
+def live(env, protocol, actions, rules=None, attempt_steps=1000):
     """Return the lives [T, N] after each of `actions [T, N or 1, a]`, and the results, in one program."""
 
     @jax.jit
-    def run(keys, rules):
+    def run(rules):
         def step(lives, action):
             lives, results = jax.vmap(lambda life, action: advance(env, life, action))(lives, action)
             return lives, (lives, results)
 
-        lives = jax.vmap(lambda key: init(env, protocol, key, attempt_steps))(keys)
+        lives = jax.vmap(lambda key: init(env, protocol, key, attempt_steps))(KEYS)
         lives = lives if rules is None else lives.replace(rules=rules)
-        each = jnp.broadcast_to(jnp.asarray(actions, jnp.float32), (len(actions), len(keys), env.action_size))
+        each = jnp.broadcast_to(jnp.asarray(actions, jnp.float32), (len(actions), len(KEYS), env.action_size))
         return jax.lax.scan(step, lives, each)[1]
 
-    return jax.device_get(run(keys, rules))
+    return jax.device_get(run(rules))
 
 
 def test_a_life_is_the_same_program_where_a_user_computes_in_float64():
@@ -184,13 +184,9 @@ def test_a_life_of_a_name_or_a_setting_is_refused():
 
 def test_a_jitted_step_can_donate_what_is_returned_outside_jit(env):
     protocol, still = Protocol(0, 4, eval_episodes=1), jnp.zeros(env.action_size)
-
-    def evaluated(env, life):
-        return evaluate(env, protocol, life, lambda obs: still)[0]
-
     step = jax.jit(lambda life: advance(env, life, still)[0], donate_argnums=0)
     life = init(env, protocol, KEYS[0])
-    for function in (intervene, set_goal, evaluated):
+    for function in (intervene, set_goal, lambda env, life: evaluate(env, protocol, life, lambda obs: still)[0]):
         life = function(env, step(life))
     assert step(life).step == 4
     jax.jit(env.step, donate_argnums=0)(env.reset(KEYS[0]), still)

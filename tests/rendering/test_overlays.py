@@ -53,9 +53,6 @@ def test_replace_hides_the_geoms_of_the_model_and_a_camera_looks_at_a_point():
     assert merge(MODEL, mjcf('<worldbody><camera at="0 1 0"/></worldbody>')).findall(".//*[@xyaxes='1 0 0 0 0 1']")
 
 
-TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
-
-
 def test_an_overlay_of_an_unknown_body_or_mesh_is_refused():
     with pytest.raises(ValueError, match="the body 'foot', but the model has none"):
         merge(MODEL, mjcf('<body name="foot"/>'))
@@ -68,7 +65,8 @@ def test_a_model_outside_the_package_takes_the_overlay_beside_its_folder_and_kee
         (tmp_path / folder).mkdir()
     model = tmp_path / "models" / "ball.xml"
     for name in ("flat", "tall"):
-        (model.parent / f"{name}.obj").write_text(TETRAHEDRON)
+        tetrahedron = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+        (model.parent / f"{name}.obj").write_text(tetrahedron)
     meshes = '<asset><mesh file="flat.obj"/><mesh file="tall.obj"/></asset>'
     geoms = '<geom type="mesh" mesh="flat"/><geom type="mesh" mesh="tall"/>'
     model.write_text(f'<mujoco>{meshes}<worldbody><body name="ball">{geoms}</body></worldbody></mujoco>')

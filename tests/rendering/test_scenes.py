@@ -1,6 +1,7 @@
 """Images of states and goals, and the choice of a graphics backend that needs no display."""
 
 import types
+from unittest.mock import Mock
 
 import jax
 import jax.numpy as jnp
@@ -60,11 +61,9 @@ def test_goal_markers_are_at_the_goal(name):
 
 
 def test_a_backend_that_the_machine_lacks_is_named(monkeypatch, env):
-    def fail(name):
-        raise AttributeError("'NoneType' object has no attribute 'glGetError'")
-
+    failure = AttributeError("'NoneType' object has no attribute 'glGetError'")
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
-    monkeypatch.setattr(scenes.importlib, "import_module", fail)
+    monkeypatch.setattr(scenes.importlib, "import_module", Mock(side_effect=failure))
     with pytest.raises(ValueError, match=r"no way to draw.* set MUJOCO_GL .osmesa: .*glGetError"):
         Scene(env, SMALL)
 

@@ -24,14 +24,12 @@ from tests.conftest import assert_equal_trees
 TYPES = ["?", "i1", "u1", "<i2", ">u4", "<i8", "<f2", ">f4", "<f8"]
 
 
-def arrays(episodes=2, length=5, size=14):
-    rng = np.random.default_rng(0)
-    rows = episodes * length
-    ends = (np.arange(rows) % length == length - 1)[:, None]
-    observations = rng.normal(size=(rows + 1, size))
+def arrays():
+    rng, ends = np.random.default_rng(0), (np.arange(10) % 5 == 4)[:, None]
+    observations = rng.normal(size=(11, 14))
     return {
         "observations": observations[:-1],
-        "actions": rng.uniform(-1, 1, (rows, 4)),
+        "actions": rng.uniform(-1, 1, (10, 4)),
         "rewards": ends.astype(float),
         "next_observations": observations[1:],
         "terminals": ends,
@@ -94,8 +92,8 @@ HOSTILE = {
 }  # fmt: skip
 
 
-def pickled(path, content, protocol=4):
-    path.write_bytes(pickle.dumps(content, protocol))
+def pickled(path, content):
+    path.write_bytes(pickle.dumps(content))
     return path
 
 
