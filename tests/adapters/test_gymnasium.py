@@ -214,26 +214,22 @@ def test_invalid_options_are_refused(options, message):
         make_env(**{"task": TABLETOP, **options})
 
 
-BAD_ACTIONS = [
-    [0, np.nan, 0], [1e300, 0, 0], None, "x", ["a", "b", "c"], [0, [1], 2], {}, [1j, 0, 0], [None] * 3
-]  # fmt: skip
-BAD_OPTIONS = [{"goal": 1}, "x", 1, {1: 2}]
-
-
 def test_invalid_calls_are_refused():
+    actions = [0, np.nan, 0], [1e300, 0, 0], None, "x", ["a", "b", "c"], [0, [1], 2], {}, [1j, 0, 0], [None] * 3
+    options = {"goal": 1}, "x", 1, {1: 2}
     env, lanes = ResetFreeEnv(TABLETOP, **LIFETIME), ResetFreeVectorEnv(TABLETOP, 3, **LIFETIME)
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(STAY)
     env.reset(seed=0)
     lanes.reset(seed=0)
     for call, message in [
-        *[(lambda given=given: env.reset(options=given), "reset takes no options") for given in BAD_OPTIONS],
+        *[(lambda given=given: env.reset(options=given), "reset takes no options") for given in options],
         (lambda: env.step(np.zeros(4)), r"action must be finite and of shape \(3,\)"),
-        *[(lambda action=action: env.step(action), "action must be finite") for action in BAD_ACTIONS],
+        *[(lambda action=action: env.step(action), "action must be finite") for action in actions],
         (lambda: env.set_goal(np.zeros(2)), r"goal must be finite and of shape \(6,\)"),
         (lambda: lanes.step(STAY), r"actions must be finite and of shape \(3, 3\)"),
         (lambda: lanes.reset(options={"reset_mask": np.array([1, 0, 1])}), r"bool \[3\]"),
-        *[(lambda given=given: lanes.reset(options=given), "reset_mask only") for given in BAD_OPTIONS],
+        *[(lambda given=given: lanes.reset(options=given), "reset_mask only") for given in options],
         *[(lambda seed=seed: lanes.reset(seed=seed), "one for each of 3 lanes") for seed in ([], [1, 2], "x")],
     ]:
         with pytest.raises(ValueError, match=message):

@@ -170,14 +170,12 @@ def test_the_authors_recordings_replayed_on_c_reach_their_goals(name, episodes, 
     assert theirs["reset_arm_error"] <= 1e-6
 
 
-SPEEDS, LENGTHS = np.array([1.0, 4.0], np.float32), np.array([0.2, 0.08], np.float32)
-
-
 @pytest.mark.parametrize("fastest", [0.0, 2.5, 9.0])
 def test_a_target_leads_the_hand_by_a_length_that_depends_on_the_fastest_joint(fastest):
-    hand, length = np.array([0.1, 0.5, 0.0], np.float32), np.interp(fastest, SPEEDS, LENGTHS)
+    speeds, lengths = np.float32([[1.0, 4.0], [0.2, 0.08]])
+    hand, length = np.array([0.1, 0.5, 0.0], np.float32), np.interp(fastest, speeds, lengths)
     far, near = hand + np.float32([0.9, 0, 0]), hand + np.float32([0.5 * length, 0, 0])
-    pulled, left = (leashed_target(target, hand, np.float32(fastest), SPEEDS, LENGTHS) for target in (far, near))
+    pulled, left = (leashed_target(target, hand, np.float32(fastest), speeds, lengths) for target in (far, near))
     np.testing.assert_allclose(pulled, hand + np.array([length, 0, 0]), atol=1e-6)
     np.testing.assert_array_equal(left, near)
 
