@@ -88,6 +88,7 @@ HOSTILE = {
     "a list": lambda: pickle.dumps([np.ones(2)]),
     "another value": lambda: pickle.dumps({**arrays(), "rewards": "text"}),
     "nothing": lambda: b"",
+    "text": lambda: b"not a pickle",
     "half a file": lambda: pickle.dumps(arrays())[:700],
 }  # fmt: skip
 
