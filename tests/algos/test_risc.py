@@ -4,16 +4,11 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 from earl_jax.algos import make_algo
-from earl_jax.algos.fbrl import FBRL
-from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.sac import SOFT_CRITICS
 from earl_jax.algos.method import RETURN, TASK, Moment
-from earl_jax.training.plan import per_lane
-from tests.conftest import make_train_state, run_whole, tiny_method
 
 KEYS = jax.random.split(jax.random.key(0), 4000)
 OBS = jnp.zeros(12)
@@ -65,30 +60,6 @@ def test_the_probability_of_success_is_averaged_over_actions(env):
         return float(jax.jit(jax.vmap(lambda key: method.success_chance(key, agent, OBS)))(KEYS).std())
 
     assert spread(4) / spread(1) == pytest.approx(0.5, abs=0.05)
-
-
-def test_a_phase_that_the_method_ends_is_stored_as_a_time_out(problem):
-    class Impatient(FBRL):
-        """Leaves every phase after five steps."""
-
-        name = "impatient"
-
-        def ends_phase(self, key, env, agent, obs, moment, method_state):
-            assert {len(leaf) for leaf in jax.tree.leaves(agent)} == {2}, "both controllers"
-            return moment.phase_step + 1 >= 5
-
-    method = per_lane(Impatient(tiny_method("fbrl").learner, fixed_phases=True), 2)
-    start = make_train_state(problem, method, [0, 1])
-    end = run_whole(problem, method, start, 20, warmup=True)
-    rows = slice(int(start.replay.row), int(end.replay.row))
-    flags = replay_lib.unpack(end.replay.flags[rows])
-    step = np.arange(1, 21)
-    assert not flags.reached.any()
-    np.testing.assert_array_equal(flags.timeout[:, 0], step % 5 == 0)
-    is_task = np.asarray(flags.goal[:, 0]) < problem.goals.tasks
-    np.testing.assert_array_equal(is_task, (step - 1) // 5 % 2 == TASK)
-    assert not flags.no_successor.any()
-    assert np.asarray(end.lanes.counters.interventions).tolist() == [0, 0]
 
 
 def test_risc_never_switches_early_or_in_dense_tasks_or_without_switching(env, switch_share):

@@ -44,21 +44,6 @@ def test_unpacking_inverts_packing():
     assert_equal_trees(replay.unpack(replay.pack(flags)), flags)
 
 
-def test_each_controller_samples_its_own_valid_rows():
-    controllers = [(0, 1), (1, 1), (0, 0), (1, 0), (0, 1)]
-    valid = [(True, True), (True, True), (False, True), (True, True), (True, False)]
-    buffer = fill_replay(controllers, valid)
-    for controller, expected in ((0, [{0, 4}, {2, 3}]), (1, [{1, 3}, {0, 1}])):
-        batch = sample(buffer, KEYS, np.full(2, controller, np.int32), DRAWS, NO_DEMO_SHARE)
-        assert [set(rows.tolist()) for rows in batch.row] == expected
-        row, number = np.asarray(batch.row), 10 * np.asarray(batch.row) + np.array([[0], [1]])
-        np.testing.assert_allclose(batch.action[..., 0], number)
-        np.testing.assert_allclose(batch.next_state[..., 0], number + 1000)
-        np.testing.assert_allclose(batch.state[..., 0], np.where(row == 0, 0, number + 990))
-        np.testing.assert_allclose(batch.reward, number)
-        np.testing.assert_array_equal(batch.flags.goal, row)
-
-
 def test_a_controller_without_rows_samples_those_of_the_other():
     buffer = fill_replay([(0, 1), (0, 1)], [(True, True)] * 2)
     batch = sample(buffer, KEYS, np.array([1, 0], np.int32), DRAWS, NO_DEMO_SHARE)
@@ -78,6 +63,7 @@ def kept_steps(buffer, controller, lane):
     action = np.asarray(batch.action[lane, :, 0])
     np.testing.assert_allclose(batch.next_state[lane, :, 0], action + 1000)
     np.testing.assert_allclose(batch.state[lane, :, 0], np.where(action < 10, 0, action + 990))
+    np.testing.assert_allclose(batch.reward[lane], action)
     np.testing.assert_array_equal(batch.flags.goal[lane], (action - lane) / 10)
     return set(batch.flags.goal[lane].tolist())
 
@@ -87,11 +73,11 @@ LONG = RNG.integers(2, size=(30, 2)), RNG.random((30, 2)) < 0.8
 """Controllers and validity [30, 2] of thirty steps of two lanes."""
 
 
-@pytest.mark.parametrize("length", [3, 4, 5, 9, 30])
-def test_a_replay_with_a_capacity_keeps_the_newest_transitions_of_each_controller(length):
+@pytest.mark.parametrize(("length", "capacity"), [(3, 4), (4, 4), (5, 4), (9, 4), (30, 4), (30, 30)])
+def test_each_controller_samples_its_own_valid_transitions_the_newest_with_a_capacity(length, capacity):
     controllers, valid = LONG[0][:length], LONG[1][:length]
-    buffer = fill_replay(controllers, valid, buffer=ring(4))
-    newest = np.arange(length) >= length - 4
+    buffer = fill_replay(controllers, valid, buffer=None if capacity == 30 else ring(capacity))
+    newest = np.arange(length) >= length - capacity
     for controller, lane in itertools.product(range(2), range(2)):
         steps = np.flatnonzero(newest & valid[:, lane] & (controllers[:, lane] == controller))
         assert buffer.counts[lane, controller] == len(steps)
