@@ -24,22 +24,15 @@ SWEEP = ["sweep", "nowhere.toml"]
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """The folder of a finished run, and the JSON that the command printed."""
+    """The folder of a finished run."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    return folder, json.loads(succeed(*training(folder), "--json"))
-
-
-def test_a_run_folder_has_its_config_and_metrics(finished):
-    folder, printed = finished
-    config = json.loads((folder / "config.json").read_text())
-    assert config["options"] == {"batch_size": 16, "hidden_sizes": [16], "random_steps": 20}
-    assert len((folder / "metrics.csv").read_text().splitlines()) == 1 + 2 * 3
-    assert printed["steps"] == 120
+    printed = json.loads(succeed(*training(folder), "--json"))
     assert set(printed["deployed/success"]) >= {"mean", "low", "high", "scores", "evaluations", "first", "last"}
+    return folder
 
 
 def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
-    folder = shutil.copytree(finished[0], tmp_path / "größe \\", ignore=shutil.ignore_patterns("checkpoints"))
+    folder = shutil.copytree(finished, tmp_path / "größe \\", ignore=shutil.ignore_patterns("checkpoints"))
     out = succeed("show", folder)
     shown = [" ".join(line.split()) for line in out.splitlines()]
     method = "method: fbrl (batch_size=16, random_steps=20, hidden_sizes=[16])"
@@ -54,7 +47,7 @@ def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
 
 
 def test_new_episodes_are_scored_beside_the_run(finished):
-    out = succeed("evaluate", finished[0], "--episodes", "2")
+    out = succeed("evaluate", finished, "--episodes", "2")
     assert re.search(r"^deployed/success \d\.\d{3}, per seed \d\.\d{3}, \d\.\d{3}$", out, re.MULTILINE), out
     assert out.splitlines()[-1].startswith("the run: deployed/success ")
 
@@ -80,23 +73,21 @@ def test_seeds_with_values_of_their_own_have_a_score_each(tmp_path):
 
 
 def test_a_folder_of_runs_is_told_from_a_run(finished):
-    folder = finished[0]
-    assert run("show", folder.parent)[2].endswith(f"can be read; did you mean {folder}?\n")
+    assert run("show", finished.parent)[2].endswith(f"can be read; did you mean {finished}?\n")
 
 
 def test_killed_run_resumes_bit_identically(finished, tmp_path):
-    whole, _ = finished
     folder = tmp_path / "killed"
     process = start(*training(folder))
     assert wait_until(lambda: list(folder.glob("checkpoints/0*")))
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert process.returncode == -signal.SIGKILL
-    assert (folder / "metrics.csv").read_text() != (whole / "metrics.csv").read_text()
+    assert (folder / "metrics.csv").read_text() != (finished / "metrics.csv").read_text()
     succeed("resume", folder)
-    assert (folder / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
-    assert [newest(path / "checkpoints") for path in (folder, whole)] == [120, 120]
-    evaluations = [succeed("evaluate", path, "--episodes", "5", "--json") for path in (folder, whole)]
+    assert (folder / "metrics.csv").read_bytes() == (finished / "metrics.csv").read_bytes()
+    assert [newest(path / "checkpoints") for path in (folder, finished)] == [120, 120]
+    evaluations = [succeed("evaluate", path, "--episodes", "5", "--json") for path in (folder, finished)]
     assert evaluations[0] == evaluations[1]
     assert len(json.loads(evaluations[0])["deployed/success"]) == 2
 
@@ -104,10 +95,10 @@ def test_killed_run_resumes_bit_identically(finished, tmp_path):
 def test_export_writes_the_life_of_a_seed_as_a_minari_dataset(finished, tmp_path, monkeypatch):
     minari = pytest.importorskip("minari", reason="datasets need the extra 'minari'")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    out = succeed("export", finished[0], "--seed", "1")
+    out = succeed("export", finished, "--seed", "1")
     assert out.startswith(f"earl_jax/{TASK}/fbrl-seed-1-v0: ")
     loaded = list(minari.load_dataset(f"earl_jax/{TASK}/fbrl-seed-1-v0"))
-    _, steps, terminal = load_transitions(finished[0], 1)
+    _, steps, terminal = load_transitions(finished, 1)
     assert len(steps.ends) == 120
     assert [len(episode) for episode in loaded] == np.diff(np.flatnonzero(steps.ends), prepend=-1).tolist()
     expected = {"actions": steps.actions, "rewards": steps.rewards, "terminations": terminal}
@@ -116,8 +107,8 @@ def test_export_writes_the_life_of_a_seed_as_a_minari_dataset(finished, tmp_path
     for part, states in ((slice(-1), steps.states), (slice(1, None), steps.next_states)):
         obs = np.concatenate([episode.observations[part] for episode in loaded])
         np.testing.assert_array_equal(obs, np.concatenate([states, steps.goals], axis=1))
-    one_line(run("export", finished[0], "--seed", "5"), f"no seed 5 in {finished[0]}; choose from 0, 1")
-    one_line(run("export", finished[0], "--direction", "forward"), "leave out --direction")
+    one_line(run("export", finished, "--seed", "5"), f"no seed 5 in {finished}; choose from 0, 1")
+    one_line(run("export", finished, "--direction", "forward"), "leave out --direction")
     one_line(run("export", TASK, "--seed", "1"), "leave out --seed")
 
 
@@ -128,7 +119,7 @@ def show_warning(message, category, *location):
 
 def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeypatch):
     monkeypatch.setattr(warnings, "showwarning", show_warning)
-    folder = shutil.copytree(finished[0], tmp_path / "damaged")
+    folder = shutil.copytree(finished, tmp_path / "damaged")
     for path in (folder / "checkpoints/000000120").rglob("*.npz"):
         path.write_bytes(path.read_bytes()[:-7])
     code, _, err = run("resume", folder)
@@ -136,34 +127,25 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
     assert err.splitlines()[0].startswith("earl-jax: checkpoint")
     assert "000000120 is damaged" in err
     assert "continuing from 000000080" in err
-    assert (folder / "metrics.csv").read_bytes() == (finished[0] / "metrics.csv").read_bytes()
+    assert (folder / "metrics.csv").read_bytes() == (finished / "metrics.csv").read_bytes()
 
 
 @pytest.mark.parametrize(
     ("arguments", "messages"),
     [
         (["train"], ["earl-jax: train needs a task"]),
-        (["train", "cheetah"], ["earl-jax: unknown task 'cheetah'", "tabletop_organization"]),
-        ([*TRAIN, "--algo", "ppo"], ["unknown method 'ppo'", "naive", "vaprl"]),
-        ([*TRAIN, "--set", "gamma=1"], ["no option 'gamma'", "`earl-jax list fbrl`"]),
         ([*TRAIN, "--set", "gamma"], ["name=value"]),
         ([*TRAIN, "--learner", "td3", "--set", "learner=sac"], ["learner is given twice"]),
         (["train", "sawyer_door", "--engine", "c", "--set", "engine=mjx"], ["engine is given twice"]),
         ([*TRAIN, "--set", "eval_every=30"], ["beside the options: eval_every=30, or --eval-every 30"]),
-        ([*TRAIN, "--set", "seeds=3"], ["beside the options: seeds=3, or --seeds 3"]),
         ([*TRAIN, "--learning-rate=1e-3"], ["--learning-rate is an option", "--set learning_rate=VALUE"]),
         ([*TRAIN, "--reward-type", "dense"], ["--set reward_type=VALUE"]),
-        ([*TRAIN, "--seed", "3"], ["--seed ", "Perhaps you meant", "--seeds SEEDS"]),
-        ([*TRAIN, "--seeds", "10:5"], ["earl-jax: seeds takes a count (5), a range (5:10, without 10) or a list"]),
-        ([*TRAIN, "--steps", "1e3", "--eval-every", "3e2"], ["steps 1000 is not a multiple of eval_every 300"]),
-        ([*TRAIN, "--steps", "1.5"], ["1.5", "1e6"]),
         (["resume", "nowhere"], ["not a run folder", "config.json"]),
         (SWEEP, ["nowhere.toml can't be read"]),
         ([*SWEEP, "--launcher", "cloud"], ["cloud", "local", "slurm"]),
         ([*SWEEP, "--launcher", "slurm", "--slurm", "time", "--slurm", "mem=4G"], ["name=value"]),
         (["compare", ".", "--out", "a.png", "b.docx"], ["b.docx: comparisons are written as .md,"]),
         (["table", ".", "--out", "a.png"], ["a.png: tables are written as .md,"]),
-        (["fly"], ["fly"]),
     ],
 )
 def test_invalid_input_exits_with_code_2_and_the_choices(arguments, messages, tmp_path, monkeypatch):

@@ -48,11 +48,7 @@ def test_commands_that_train_set_the_flags_and_print_them_once(monkeypatch, caps
         ({"JAX_PLATFORMS": "cpu"}, TABLE, []),
         ({"JAX_PLATFORMS": "cuda,cpu"}, TABLE, ADDED),
         ({}, f"\0{NAME}_of_another\0".encode(), []),
-        (
-            {},
-            b"\0".join(name.encode() for name in xla_flags.FLAGS) + b"\0",
-            ADDED[:1],
-        ),  # without the text of the second
+        ({}, TABLE.replace(b"command types", b""), ADDED[:1]),
     ],
 )
 def test_the_users_flags_and_platform_win_and_the_plugin_must_know_a_flag_and_its_value(
