@@ -59,7 +59,7 @@ class Tiled(SAC):
 
 def test_a_list_is_sizes_for_a_static_option_and_has_a_value_for_each_lane_for_another(registries):
     register_learner("tiled", Tiled)
-    options = {"learner": "tiled", "tiles": [8, 8], "discount": [0.5, 0.9]}
+    options = {"learner": "tiled", "tiles": np.array([8, 8]), "discount": [0.5, 0.9]}
     for learner in (make_algo("naive", **options).learner, learner_of(options)):
         assert learner.tiles == (8, 8)
         assert learner.discount.tolist() == pytest.approx([0.5, 0.9])

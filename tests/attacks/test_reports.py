@@ -53,16 +53,15 @@ def test_hostile_labels_are_text_in_pictures_and_tables(tmp_path):
     assert r"\$\textbackslash{}frac\{" in (tmp_path / "x.tex").read_text()
 
 
-@pytest.mark.parametrize("where", ["folder", "algo", "provenance"])
+@pytest.mark.parametrize("where", ["algo", "provenance"])
 def test_hostile_texts_are_text_on_the_page(where, whole, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folders = [shutil.copytree(whole, tmp_path / "good")]
     for number, text in enumerate(HOSTILE):
-        name = text.encode(errors="replace").decode().replace("/", "_") if where == "folder" else f"run{number}"
-        folders.append(copy_of(whole, tmp_path / "runs" / name, number))
+        folders.append(copy_of(whole, tmp_path / f"runs/run{number}", number))
         if where == "algo":
             change_config(folders[-1], algo=text)
-        elif where == "provenance":
+        else:
             recorded = json.loads((whole / "config.json").read_text())["provenance"]
             hostile = dict.fromkeys(("commit", "created", "python", "device"), text)
             change_config(folders[-1], provenance={**recorded, **hostile})

@@ -51,9 +51,7 @@ def test_commands_that_train_set_the_flags_and_print_them_once(monkeypatch, caps
         ({}, TABLE.replace(b"command types", b""), ADDED[:1]),
     ],
 )
-def test_the_users_flags_and_platform_win_and_the_plugin_must_know_a_flag_and_its_value(
-    plugin, environment, known, expected
-):
+def test_the_users_flags_and_platform_win_and_the_plugin_knows_a_flag(plugin, environment, known, expected):
     plugin.write_bytes(known)
     assert xla_flags.helpful_flags(environment) == expected
 

@@ -212,11 +212,6 @@ def test_a_limit_counts_from_its_construction(monkeypatch):
     assert limit.passed
 
 
-@pytest.mark.parametrize("minutes", [1, 0.5, np.float32(0.5), np.int64(3), 10**9])
-def test_positive_numbers_of_minutes_are_accepted(minutes):
-    assert TimeLimit.of(minutes).minutes == minutes
-
-
 @pytest.mark.parametrize("minutes", [0, -1, np.nan, np.inf, "soon", "5", True, [1], 10**400, np.array([1.0])])
 def test_other_minutes_are_refused_with_the_valid_interval(minutes):
     with pytest.raises(InputError, match=r"minutes must lie in \(0, inf\), not "):
@@ -229,8 +224,5 @@ def test_the_command_line_reads_minutes_and_writes_them():
     for text, shown in [("0", "0.0"), ("-2", "-2.0"), ("nan", "nan"), ("soon", "'soon'"), ("", "''")]:
         with pytest.raises(InputError, match=f"not {shown}$"):
             parse_minutes(text)
-    assert [str(TimeLimit.of(minutes)) for minutes in (1, 0.5, 90)] == ["1 minute", "0.5 minutes", "90 minutes"]
-
-
-def test_sizes_can_be_an_array():
-    assert make_algo("naive", hidden_sizes=np.array([16, 8])).learner.hidden_sizes == (16, 8)
+    shown = [str(TimeLimit.of(minutes)) for minutes in (1, np.float32(0.5), np.int64(90))]
+    assert shown == ["1 minute", "0.5 minutes", "90 minutes"]

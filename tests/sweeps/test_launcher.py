@@ -142,9 +142,7 @@ for _ in range(600):
 
 
 @pytest.mark.parametrize(("end", "per_device"), [("signal", None), ("signal", 2), ("error", 2), ("second signal", 2)])
-def test_a_signal_or_an_error_ends_all_workers_and_no_other_group_starts(
-    gpus, grid, workers, tmp_path, monkeypatch, capfd, end, per_device
-):
+def test_a_signal_or_an_error_ends_all_workers(gpus, grid, workers, tmp_path, monkeypatch, capfd, end, per_device):
     """A worker that ignores the first signal is ended by the second one."""
     saves = end != "second signal"
     body = SAVE.replace("HANDLER", "save_and_end" if saves else "signal.SIG_IGN")

@@ -154,9 +154,7 @@ def test_the_target_of_an_ensemble_is_the_minimum_of_one_random_subset(batch, en
 
 
 @pytest.mark.parametrize(("ensemble", "lowest", "cloning"), [(2, True, 0.0), (4, False, 0.0), (2, True, 3.0)])
-def test_the_actor_climbs_the_minimum_of_two_and_the_mean_of_more_beside_the_cloning_term(
-    batch, ensemble, lowest, cloning
-):
+def test_the_actor_climbs_the_minimum_of_two_or_the_mean_of_more_and_clones(batch, ensemble, lowest, cloning):
     method = make_algo("naive", hidden_sizes=[16], reward_scale=2.0, cloning=cloning, ensemble=ensemble)
     sac, key = method.learner.replace(initial_temperature=0.3), jax.random.key(3)
     agent = init(sac, jax.random.key(1), 4, SIZE, entropy_free_pairs=1)
