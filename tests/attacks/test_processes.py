@@ -1,13 +1,11 @@
 """Limits of the system, and changes by others while a process trains."""
 
-import shutil
 import subprocess
 import sys
-import time
 
 import pytest
 
-from tests.cli.process import ENVIRONMENT, run_process, start, succeed, training
+from tests.cli.process import ENVIRONMENT, run_process, start, succeed, training, wait_until
 
 pytestmark = pytest.mark.slow
 LIMITED = """
@@ -42,19 +40,12 @@ def test_of_two_equal_commands_one_finishes_and_one_is_refused(whole, tmp_path):
     assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
 
 
-@pytest.mark.parametrize("act", ["move", "remove"])
-def test_a_folder_that_goes_away_in_training_ends_with_a_line(act, whole, tmp_path):
-    folder = tmp_path / "run"
-    process = start(*training(folder))
-    while not (folder / "metrics.csv").exists() and process.poll() is None:
-        time.sleep(0.01)
-    if act == "move":
-        folder.rename(tmp_path / "moved")
-    else:
-        shutil.rmtree(folder, ignore_errors=True)
+def test_a_folder_that_is_moved_in_training_ends_it_with_a_line_and_can_be_resumed(whole, tmp_path):
+    process = start(*training(tmp_path / "run"))
+    assert wait_until((tmp_path / "run/metrics.csv").exists)
+    moved = (tmp_path / "run").rename(tmp_path / "moved")
     _, err = process.communicate(timeout=300)
     assert process.returncode in (0, 2), err
     assert "Traceback" not in err
-    if act == "move":
-        succeed("resume", tmp_path / "moved", by=run_process)
-        assert (tmp_path / "moved/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+    succeed("resume", moved, by=run_process)
+    assert (moved / "metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()

@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import json
 import os
 import pty
 import re
@@ -88,24 +87,16 @@ def command(*arguments):
 
 
 def shell(text):
-    """Return exit code and stdout of a line of bash, in which a pipe has the code of its first command that failed."""
+    """Return the exit code of a line of bash, in which a pipe has that of its first command that failed."""
     line = ["bash", "-c", f"set -o pipefail; {text}"]
-    done = subprocess.run(line, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT, timeout=300)
-    return done.returncode, done.stdout
+    return subprocess.run(line, stdout=subprocess.PIPE, env=ENVIRONMENT, timeout=300).returncode
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("redirection", STREAMS)
 def test_training_ends_whatever_becomes_of_its_streams(redirection, whole, tmp_path):
-    code, _ = shell(f"{command(*training(tmp_path / 'run'))} {redirection}")
-    assert code == 0
+    assert shell(f"{command(*training(tmp_path / 'run'))} {redirection}") == 0
     assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
-
-
-@pytest.mark.slow
-def test_json_is_alone_on_stdout_without_stderr(tmp_path):
-    code, out = shell(f"{command(*training(tmp_path / 'run'), '--json')} <&- 2>&-")
-    assert (code, json.loads(out)["steps"]) == (0, 120)
 
 
 @pytest.mark.slow
@@ -113,8 +104,7 @@ def test_json_is_alone_on_stdout_without_stderr(tmp_path):
 def test_a_sweep_ends_whatever_becomes_of_its_streams(redirection, tmp_path):
     grid = f'envs = ["{TASK}"]\nalgos = ["naive"]\nseeds = 2\nsteps = 40\neval_every = 40\neval_episodes = 2\n'
     (tmp_path / "grid.toml").write_text(f"{grid}[options]\nhidden_sizes = [[16]]\nbatch_size = 16\nrandom_steps = 20\n")
-    code, _ = shell(f"{command('sweep', tmp_path / 'grid.toml', '--out', tmp_path / 'out')} {redirection}")
-    assert code == 0
+    assert shell(f"{command('sweep', tmp_path / 'grid.toml', '--out', tmp_path / 'out')} {redirection}") == 0
     [metrics] = tmp_path.glob("out/**/metrics.csv")
     assert len(metrics.read_text().splitlines()) == 3
 
@@ -136,9 +126,3 @@ def test_a_terminal_that_closes_costs_no_step(controlling, whole, tmp_path):
     assert process.wait(300) == (128 + signal.SIGHUP if controlling else 0)
     succeed("resume", tmp_path / "run", by=run_process)
     assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
-
-
-@pytest.mark.slow
-def test_a_reader_that_leaves_a_listing_early_ends_it_quietly(tmp_path):
-    assert shell(f"{command('list')} 2>{tmp_path / 'err'} | true")[0] == 1
-    assert (tmp_path / "err").read_text() == ""

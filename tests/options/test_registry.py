@@ -78,14 +78,12 @@ def test_a_broken_package_is_listed_and_is_an_error_when_its_name_is_used(instal
 
 
 def test_an_unknown_name_says_what_it_may_mean_and_how_to_name_a_class_of_ones_own(install):
-    with pytest.raises(
-        ValueError, match=r"^unknown task 'maze'; choose from meadow, sawyer_door \(your own: --import FILE"
-    ):
+    message = r"^unknown task 'maze'; choose from meadow, sawyer_door \(your own: --import FILE"
+    with pytest.raises(ValueError, match=message):
         install({"meadow": "theirs:Meadow"}).get("maze")
     for name, own in {**ORIGINAL_NAMES, "bulb": "dhand_lightbulb", "Door": "sawyer_door"}.items():
-        with pytest.raises(
-            ValueError, match=f"^unknown task '{name}'; did you mean '{own}'\\? Choose from cheetah_run"
-        ):
+        message = f"^unknown task '{name}'; did you mean '{own}'\\? Choose from cheetah_run"
+        with pytest.raises(ValueError, match=message):
             envs.make(name)
     with pytest.raises(ValueError, match=r"^unknown method 'FBRL'; did you mean 'fbrl'\?"):
         earl_jax.make_algo("FBRL")
@@ -113,10 +111,9 @@ def test_a_class_is_registered_under_its_own_name_and_with_its_own_kind_only():
     registry = Registry("learner", "earl_jax.algos.learner.base:Learner", {})
     with pytest.raises(ValueError, match="learner 'half': the registered class lacks act, greedy, init, update"):
         registry.register("half", type("Half", (Learner,), {"name": "half"}))
+    own = type("Own", (SAC,), {"name": "own", "eval_every": 1, "__annotations__": {"eval_every": int}})
     with pytest.raises(ValueError, match="has an option called as an argument of train, eval_every; rename it"):
-        registry.register(
-            "own", type("Own", (SAC,), {"name": "own", "eval_every": 1, "__annotations__": {"eval_every": int}})
-        )
+        registry.register("own", own)
     assert registry.names() == []
     parameters = inspect.signature(earl_jax.train).parameters
     assert {*parameters, "name"} - {"engine", "options"} == ARGUMENTS
