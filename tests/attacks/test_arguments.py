@@ -8,14 +8,11 @@ from tests.cli.process import TASK, run, unchanged
 pytestmark = pytest.mark.usefixtures("no_training")
 DIGITS = "9" * 400
 SETS = (
-    "discount=-0.1", "discount=1.5", "discount=nan", "discount=NaN", "discount=-Infinity", "discount=true", "discount=null",
-    'discount="0.9"', "discount=[]", "discount=[0.9,0.9,0.9]", "discount={}", f"discount={DIGITS}", "discount=" + "[" * 5000,
-    "discount=" + '{"a":' * 5000, "learning_rate=0", "learning_rate=1e400", "learning_rate=x", "initial_temperature=-1",
-    "reward_scale=NaN", "batch_size=0", "batch_size=1.5", "batch_size=1000000000000", f"random_steps={DIGITS}",
-    "hidden_sizes=[]", "hidden_sizes=[0]", "hidden_sizes=[1.5]", "hidden_sizes=[[16]]", "hidden_sizes=16", "hidden_sizes=null",
+    "discount=nan", "discount=NaN", "discount=-Infinity", "discount=true", "discount=null", 'discount="0.9"', "discount=[]",
+    "discount=[0.9,0.9,0.9]", "discount={}", "learning_rate=1e400", "initial_temperature=-1", "batch_size=0",
+    "batch_size=1000000000000", f"random_steps={DIGITS}", "hidden_sizes=[[16]]", "hidden_sizes=16", "hidden_sizes=null",
     "train_horizon=-1", "train_horizon=3000000000", "eval_horizon=0", "name=x", "env=x", "seeds=3", "out=x", "self=1", "=1",
-    "a", "a=b=c", "__class__=x", "sac=1", "budget=-1", "intervention_chance=1.1", "help_cost=-1", "goal_change=0",
-    "reward_type=x", "precision=fp4", "\0=1", "discount=\ud800", "😀=1", " discount=0.9",
+    "a", "a=b=c", "__class__=x", "budget=-1", "help_cost=-1", "reward_type=x", "\0=1", "discount=\ud800", "😀=1", " discount=0.9",
 )  # fmt: skip
 NUMBERS = {
     "--set": SETS,
