@@ -92,10 +92,7 @@ def test_a_method_has_its_phases_and_goals(env, algo):
 def test_a_method_beyond_the_papers_lives_for_some_steps(algo):
     """The paper's five do so in tests/training/test_loop.py."""
     method, start, end = lived(algo)
-    assert jax.tree.structure(start) == jax.tree.structure(end)
     assert_all_finite((end.replay, end.lanes.agent, end.lanes.method_state))
-    assert int(end.step) == CHUNK
-    assert int(end.replay.row) - int(start.replay.row) == CHUNK
     assert (end.replay.counts - start.replay.counts).sum(axis=1).tolist() == [CHUNK] * 2
     kernels = [np.asarray(jax.tree.leaves(state.lanes.agent.actor)[-1]) for state in (start, end)]
     moved = np.abs(kernels[1] - kernels[0]).reshape(2, controller_count(method), -1).max(axis=-1)
@@ -137,27 +134,23 @@ def test_naive_by_the_global_clock_times_out_at_multiples_of_its_episode_length(
 
 
 def test_rnd_reward_and_scale_are_the_released_formulas(env):
-    method, goals = make_algo("r3l"), goal_table(env)
+    method, goals = make_algo("r3l", hidden_sizes=[16]), goal_table(env)
     state = jax.jit(lambda key: method.init(key, env, goals))(KEYS[0]).replace(sigma=jnp.asarray(0.5))
     batch = make_batch(goals.candidates[:64], goals.candidates[64:128])
-    rewards = jax.jit(
-        lambda state, phase, method=method: method.prepare(KEYS[0], env, goals, batch, phase, state).reward
-    )
+    rewards = jax.jit(lambda phase, method=method: method.prepare(KEYS[0], env, goals, batch, phase, state).reward)
     agent = jax.jit(lambda key: method.learner.init(key, 12, 3))(KEYS[1])
     obs, zeros = np.concatenate([batch.state, batch.state], axis=1), np.zeros(64, np.float32)
     learnt = Batch(obs, batch.action, zeros, zeros > 0, obs)
     update = jax.jit(lambda state, phase: method.learn(KEYS[0], env, agent, learnt, phase, state)[1])
     errors = jax.jit(lambda state: state.error(state.predictor, batch.state))
     before = np.asarray(errors(state))
-    np.testing.assert_allclose(rewards(state, RETURN), before / 0.5, rtol=1e-5)
-    clip = np.median(before)
-    np.testing.assert_allclose(
-        rewards(state, RETURN, make_algo("r3l", rnd_clip=clip)), np.minimum(before / 0.5, clip), rtol=1e-5
-    )
-    np.testing.assert_array_equal(rewards(state, TASK), batch.reward)
+    np.testing.assert_allclose(rewards(RETURN), before / 0.5, rtol=1e-5)
+    clipped = rewards(RETURN, method.replace(rnd_clip=np.median(before)))
+    np.testing.assert_allclose(clipped, np.minimum(before / 0.5, np.median(before)), rtol=1e-5)
+    np.testing.assert_array_equal(rewards(TASK), batch.reward)
     expected = 0.99 * 0.5 + 0.01 * max(np.std(before / 0.5), 1e-3)
     assert float(update(state, RETURN).sigma) == pytest.approx(expected, rel=1e-5)
-    undecayed = make_algo("r3l", rnd_decay=0.0).distil(state.replace(sigma=jnp.asarray(1e6)), batch.state)
+    undecayed = jax.jit(method.replace(rnd_decay=0.0).distil)(state.replace(sigma=jnp.asarray(1e6)), batch.state)
     assert float(undecayed.sigma) == pytest.approx(1e-3)
     after = state
     for _ in range(30):

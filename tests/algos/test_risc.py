@@ -29,13 +29,18 @@ def with_value(agent, value, weights=0.0):
 
 
 @pytest.fixture(scope="module")
-def switch_share(env):
+def agent():
+    """An agent with success critics."""
+    method = make_algo("risc", hidden_sizes=[16])
+    return jax.jit(lambda key: method.learner.init(key, 12, 3, method.entropy_free_pairs))(KEYS[0])
+
+
+@pytest.fixture(scope="module")
+def switch_share(env, agent):
     """Return a function that gives the share of 4000 keys with which a method leaves a phase after `count` steps.
 
     Its further critics are `value` everywhere, before the division by the reward scale.
     """
-    first = make_algo("risc", hidden_sizes=[16])
-    agent = jax.jit(lambda key: first.learner.init(key, 12, 3, first.entropy_free_pairs))(jax.random.key(0))
 
     @jax.jit
     def share(method, value, count):
@@ -45,19 +50,20 @@ def switch_share(env):
     return lambda value, count, **options: float(share(make_algo("risc", hidden_sizes=[16], **options), value, count))
 
 
-def test_of_two_controllers_the_acting_one_is_asked(env):
+def test_of_two_controllers_the_acting_one_is_asked(env, agent):
     method = make_algo("risc", hidden_sizes=[16], controllers=2, conservative_factor=0.0)
-    agent = jax.jit(lambda key: method.learner.init(key, 12, 3, method.entropy_free_pairs))(KEYS[0])
     agents = jax.tree.map(lambda *leaves: jnp.stack(leaves), with_value(agent, 0.0), with_value(agent, 10.0))
     moments = [moment(jnp.asarray(150))._replace(phase=jnp.asarray(phase)) for phase in (TASK, RETURN)]
-    assert [bool(method.ends_phase(KEYS[0], env, agents, OBS, at, ())) for at in moments] == [False, True]
+    ends = jax.jit(lambda at: method.ends_phase(KEYS[0], env, agents, OBS, at, ()))
+    assert list(map(ends, moments)) == [False, True]
 
 
-def test_the_probability_of_success_is_averaged_over_actions(env):
+def test_the_probability_of_success_is_averaged_over_actions(agent):
+    around_half = with_value(agent, 0.5, weights=1.0)
+
     def spread(samples):
         method = make_algo("risc", hidden_sizes=[16], value_samples=samples, reward_scale=1.0)
-        agent = with_value(method.learner.init(KEYS[0], 12, 3, method.entropy_free_pairs), 0.5, weights=1.0)
-        return float(jax.jit(jax.vmap(lambda key: method.success_chance(key, agent, OBS)))(KEYS).std())
+        return float(jax.jit(jax.vmap(lambda key: method.success_chance(key, around_half, OBS)))(KEYS).std())
 
     assert spread(4) / spread(1) == pytest.approx(0.5, abs=0.05)
 

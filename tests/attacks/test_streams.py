@@ -126,3 +126,9 @@ def test_a_terminal_that_closes_costs_no_step(controlling, whole, tmp_path):
     assert process.wait(300) == (128 + signal.SIGHUP if controlling else 0)
     succeed("resume", tmp_path / "run", by=run_process)
     assert (tmp_path / "run/metrics.csv").read_bytes() == (whole / "metrics.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_a_reader_that_leaves_a_listing_early_ends_it_quietly(tmp_path):
+    assert shell(f"{command('list')} 2>{tmp_path / 'err'} | true") == 1
+    assert (tmp_path / "err").read_text() == ""

@@ -97,7 +97,6 @@ def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
         ("envs = [", r"grid\.toml can't be read"),
         (f"seeds = {'9' * 5000}", "can't be read"),
         (f"seeds = {'[' * 5000}", "can't be read"),
-        ("\x00\x01", "can't be read"),
         (f"{RUN}step = 3", "unknown key 'step'; choose from preset, envs, algos"),
         (f"{RUN}[[runs]]\nimport = 'a.py'", r"above \[\[runs\]\], import is one too"),
         (f"{RUN}import = []", r"grid\.toml: import must contain at least one name"),
