@@ -165,7 +165,6 @@ def test_the_preset_of_rlpd_has_its_papers_learner_and_updates_the_whole_ensembl
     sac = make_algo("rlpd").learner
     values = sac.timeout_bootstrap, sac.layer_norm, sac.demo_share, sac.ensemble, sac.target_subset, sac.backup_entropy
     assert values == (True, True, 0.5, 10, 2, False)
-    assert make_algo("rlpd", utd=20).learner.utd == 20
     _, start, end = lived("rlpd")
     agent = end.lanes.agent
     assert {leaf.shape[:3] for leaf in jax.tree.leaves(agent.critics)} == {(2, 1, 4)}

@@ -46,12 +46,6 @@ def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
     assert f"made by: earl-jax {made_by(printed['provenance'])}" in shown
 
 
-def test_new_episodes_are_scored_beside_the_run(finished):
-    out = succeed("evaluate", finished, "--episodes", "2")
-    assert re.search(r"^deployed/success \d\.\d{3}, per seed \d\.\d{3}, \d\.\d{3}$", out, re.MULTILINE), out
-    assert out.splitlines()[-1].startswith("the run: deployed/success ")
-
-
 def test_seeds_with_values_of_their_own_have_a_score_each(tmp_path):
     lines = succeed(*training(tmp_path / "run", "--set", "learning_rate=[1e-3,3e-4]")).splitlines()
     labels = [f"fbrl (learning_rate={value})" for value in ("0.001", "3e-4")]
