@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from unittest.mock import Mock, PropertyMock
 
 import jax
 import numpy as np
@@ -123,11 +122,16 @@ def work(plan, out, **options):
     return events
 
 
-def limit_of(checks):
-    """Return a limit of time that has passed after so many checks."""
-    limit = Mock()
-    type(limit).passed = PropertyMock(side_effect=[False] * checks + [True] * 10)
-    return limit
+class Limit:
+    """A limit of time that has passed after so many checks."""
+
+    def __init__(self, checks):
+        self.checks = checks
+
+    @property
+    def passed(self):
+        self.checks -= 1
+        return self.checks < 0
 
 
 def assert_equal_runs(out, separate_folders):
@@ -182,7 +186,7 @@ def test_runs_of_different_checkpoints_continue_in_separate_programs(tmp_path, g
 def test_runs_of_a_grid_with_more_steps_go_on_from_their_last_checkpoint(tmp_path, grid, separate_folders):
     """Runs that stop at step 80 stand for shorter ones, whose program would take long to compile."""
     out = tmp_path / "out"
-    work(worker.plan(grid, out), out, limit=limit_of(5))
+    work(worker.plan(grid, out), out, limit=Limit(5))
     for name in NAMES:
         RunFolder.open(out / name).record(steps=80)
     plan = worker.plan(grid, out)
@@ -199,8 +203,8 @@ def test_runs_whose_minutes_run_out_continue_as_uninterrupted_ones(tmp_path, gri
     out = tmp_path / "out"
     plan = worker.plan(grid, out)
     stopped = [(name, "stopped", "at step 20") for name in NAMES]
-    assert work(plan, out, limit=limit_of(1)) == [(name, "started", "") for name in NAMES] + stopped
-    assert work(plan, out, limit=limit_of(0)) == stopped
+    assert work(plan, out, limit=Limit(1)) == [(name, "started", "") for name in NAMES] + stopped
+    assert work(plan, out, limit=Limit(0)) == stopped
     work(plan, out)
     assert_equal_runs(out, separate_folders)
 
