@@ -83,13 +83,10 @@ def test_lanes_are_restored_together_from_a_step_that_is_whole_in_every_folder(t
         assert int(checkpoint.restore_together(two_folders, [1, 1], state).step) == 40
 
 
-UNFINISHED = ("000000160.part", "trial.part_x")
-
-
 def test_the_two_newest_checkpoints_are_kept_and_an_unfinished_one_is_ignored_and_removed(tmp_path, state):
     for step in (40, 80, 120):
         checkpoint.save(tmp_path, at_step(state, step))
-    for name in UNFINISHED:
+    for name in ("000000160.part", "trial.part_x"):
         shutil.copytree(tmp_path / "000000120", tmp_path / name)
     assert checkpoint.saved_steps(tmp_path) == [80, 120]
     assert int(checkpoint.restore(tmp_path, state).step) == 120
@@ -195,11 +192,9 @@ def long_list(path):
 DAMAGE = {
     "a bit of the lanes": (file("lanes", flip_bit), "lanes/arrays.npz can't be read: Bad CRC-32"),
     "a bit of the replay": (file("replay", flip_bit), "replay/arrays.npz can't be read: Bad CRC-32"),
-    "lanes cut": (file("lanes", lambda path: os.truncate(path, 900)), "lanes/arrays.npz can't be read"),
     "no file of lanes": (file("lanes", os.unlink), "lanes/arrays.npz can't be read: .* No such file"),
     "no replay": (lambda path: shutil.rmtree(path / "replay"), "replay"),
     "a pipe": (file("lanes", lambda path: (path.unlink(), os.mkfifo(path))), "lanes/arrays.npz can't be read"),
-    "empty": (lambda path: [shutil.rmtree(path), path.mkdir()], ""),
     "renamed": (lambda path: path.rename(path.with_name("000000120")), "it is of step 80"),
     "no step": (arrays("lanes", step=None), "'step'"),
     "a step of text": (arrays("lanes", step=np.array("80x")), "80x"),
@@ -211,13 +206,9 @@ DAMAGE = {
     "rows of one lane": (rows(1, 1, 6), r"state is float32\[1, 1, 6\] instead"),
     "rows of other numbers": (rows(1, 2, 6, dtype=float), r"state is float64\[1, 2, 6\] instead"),
     "20 MB of rows": (rows(200_000, 2, 12), "its arrays are larger"),
-    "20 MB of lanes": (arrays("lanes", x=np.zeros(20_000_000, np.int8)), "its arrays are larger"),
-    "rows of text": (arrays("replay", state=np.array([["x"] * 2] * 3)), "its replay has other arrays"),
-    "counts of another shape": (arrays("replay", counts=np.zeros(7, np.int32)), "its replay has other arrays"),
     "a row that is not there": (arrays("replay", mine=np.full((3, 2), 10**6, np.int32)), "mine has numbers that are"),
     "a negative count": (arrays("replay", counts=np.full((2, 2), -1, np.int32)), "counts has numbers that are"),
     "more bytes than its shape": (stated(40), "state.npy has another size than its array"),
-    "160 GB": (stated(16 * 10**8), "state.npy has another size than its array"),
     "a list of 1 GiB": (file("lanes", long_list), "its arrays are larger"),
 }
 """Damage to a checkpoint, and what the warning says."""
