@@ -10,7 +10,7 @@ import earl_jax
 from earl_jax.algos.naive import Naive
 from earl_jax.envs import HelpBudget
 from earl_jax.errors import InputError
-from earl_jax.protocol import Continuing, Deployment, Setting
+from earl_jax.protocol import Continuing, Deployment, Protocol, Setting
 from earl_jax.runs.config import RunConfig
 from tests.conftest import make_config, tiny_method
 
@@ -30,12 +30,13 @@ def test_numbers_of_numpy_are_recorded_as_plain_ones():
 
 
 def test_the_setting_and_its_budget_are_restored(env):
-    config = make_config(HelpBudget(env, budget=5.0), tiny_method("naive"), setting=Continuing(goal_change=7))
-    assert config.setting == {"name": "continuing", "budget": 5.0, "goal_change": 7}
+    setting = Continuing(goal_change=7, train_horizon=200_000)
+    config = make_config(HelpBudget(env, budget=5.0), tiny_method("naive"), setting=setting)
+    assert config.setting == {"name": "continuing", "budget": 5.0, "goal_change": 7, "train_horizon": 200_000}
     config = through_json(config)
     assert config.build_env() == HelpBudget(env, budget=5.0)
-    assert config.build_setting() == Continuing(goal_change=7, budget=5.0)
-    assert config.protocol(config.build_env()).goal_change == 7
+    assert config.build_setting() == dataclasses.replace(setting, budget=5.0)
+    assert config.protocol(config.build_env()) == Protocol(200_000, 200, 40, 2, goal_change=7)
 
 
 @pytest.mark.parametrize("cls", [type("Rare", (Deployment,), {}), Setting])
@@ -43,18 +44,6 @@ def test_a_setting_of_another_class_is_refused(cls):
     """Its run could not be resumed, or had the numbers of the setting with its name."""
     with pytest.raises(InputError, match=f"must be an object of Deployment or Continuing, not of {cls.__name__}"):
         earl_jax.train("tabletop_organization", setting=cls(), steps=10)
-
-
-def test_an_explicit_h_t_is_restored_and_a_config_without_it_keeps_its_h_t(env):
-    for setting, options, horizon in [
-        (Continuing(train_horizon=200_000), {}, 200_000),
-        (Continuing(), {}, 50_000),
-        (Continuing(), {"train_horizon": 700}, 700),
-    ]:
-        task = dataclasses.replace(env, **options)
-        config = through_json(make_config(task, tiny_method("naive"), setting=setting))
-        assert ("train_horizon" in config.setting, config.env_options) == (horizon == 200_000, options)
-        assert config.protocol(config.build_env()).train_horizon == horizon
 
 
 def test_the_reward_type_chooses_reward_scale_and_deployed_metric():
