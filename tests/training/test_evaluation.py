@@ -1,10 +1,10 @@
 """Evaluations in training: what they measure, their columns, and that they change nothing else."""
 
 import functools
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import pytest
-from flax import struct
 
 from earl_jax.algos import Learner, Method
 from earl_jax.training.plan import per_lane
@@ -26,27 +26,11 @@ def test_an_evaluation_repeats_and_changes_nothing_but_the_reward_window(problem
     assert again["deployed/return"].tolist() == metrics["deployed/return"].tolist()
 
 
-class Answer(struct.PyTreeNode):
+class Answer(NamedTuple):
     metrics: dict
 
 
-class Reporter(Method):
-    shape: tuple = struct.field(pytree_node=False, default=())
-    name = "reporter"
-
-    def init(self, key, env, goals):
-        metrics = {"answer": jnp.full(self.shape, 42.0), "known": jnp.ones(self.shape, bool)}
-        return Answer(metrics) if self.shape else {"metrics": metrics}
-
-
-class Bare(Method):
-    name = "bare"
-
-    def init(self, key, env, goals):
-        return {"metrics": jnp.zeros(())}
-
-
-class Idle(struct.PyTreeNode):
+class Idle(NamedTuple):
     actor: tuple = ()
 
 
@@ -67,19 +51,28 @@ class Rest(Learner):
         return agent, {}
 
 
+def with_state(state, learner=Rest):
+    """Return a method of two lanes whose own state is `state`."""
+    return per_lane(type("Reporter", (Method,), {"name": "reporter", "init": lambda *_: state})(learner()), 2)
+
+
 def test_scalars_in_the_metrics_of_a_method_are_metrics_and_a_learner_without_parameters_is_finite():
     """The metrics of a dict used to be left out, and such a learner a TypeError; those of an object have the wrong shape here."""
     problem = make_problem(Chain(eval_horizon=2), eval_every=40, eval_episodes=1)
-    method = per_lane(Reporter(Rest()), 2)
+    answer = {"metrics": {"answer": jnp.float32(42), "known": jnp.array(True)}}
+    method = with_state(answer)
     metrics = evaluate(problem, method, make_train_state(problem, method, [0, 1]))[1]
     assert metrics["reporter/answer"].tolist() == [42.0, 42.0]
     assert metrics["reporter/known"].dtype == jnp.int32, "metrics.csv has numbers"
     assert metrics["diverged"].tolist() == [0, 0]
-    odd = {r"'reporter/answer' of metrics.csv must be number\[\], not float32\[3\]": Reporter(Rest(), shape=(3,))}
-    odd["metrics in the state of method 'bare' must be a dict of scalars"] = Bare(Rest())
+    wide = Answer({"answer": jnp.zeros(3)})
+    odd = {
+        r"'reporter/answer' of metrics.csv must be number\[\], not float32\[3\]": with_state(wide),
+        "metrics in the state of method 'reporter' must be a dict of scalars": with_state({"metrics": jnp.zeros(())}),
+    }
     for name in ("seed", "interventions"):
-        odd[f"'{name}' is a column of every metrics"] = Reporter(type("Odd", (Rest,), {"diagnostics": (name,)})())
+        learner = type("Odd", (Rest,), {"diagnostics": (name,)})
+        odd[f"'{name}' is a column of every metrics"] = with_state(answer, learner)
     for message, method in odd.items():
-        method = per_lane(method, 2)
         with pytest.raises(ValueError, match=message):
             evaluate(problem, method, make_train_state(problem, method, [0, 1]))
