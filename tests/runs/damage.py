@@ -1,14 +1,6 @@
-"""Damage to run folders: each function damages a copy of a good one, of a finished or of a running run."""
+"""Damage to the folder of a finished run, of which each test damages a copy."""
 
 import json
-import shutil
-
-SECRET = "mine\n"
-
-
-def victim_of(folder):
-    """Return the path, beside `folder`, of the file or folder to which the links of `LINKS` lead."""
-    return folder.parent / f"victim-{folder.name}"
 
 
 def _table(change):
@@ -112,31 +104,9 @@ IGNORED = {
 """Entries that no command takes for a checkpoint."""
 
 
-def _link(name, is_folder):
-    """Return a function that puts a link to the victim at `name`, in the place of what is there."""
-
-    def damage(folder):
-        path, victim = folder / name, victim_of(folder)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if is_folder:
-            victim.mkdir()
-        (victim / "file" if is_folder else victim).write_text(SECRET)
-        if path.is_dir():
-            shutil.rmtree(path)
-        path.unlink(missing_ok=True)
-        path.symlink_to(victim)
-
-    return damage
-
-
-UNFINISHED = "checkpoints/000000120.part"
 LINKED_FILES = [
     *(f"{name}{end}" for name in ("config.json", "metrics.csv", "policies.npz") for end in ("", ".part")),
     *(".lock", "checkpoints/000000040", "checkpoints/000000080/lanes", "tensorboard/events.out.tfevents.0"),
 ]
-LINKED_FOLDERS = ["checkpoints", "tensorboard", "wandb", UNFINISHED]
-LINKS = {
-    **{name: _link(name, is_folder=False) for name in LINKED_FILES},
-    **{name: _link(name, is_folder=True) for name in LINKED_FOLDERS},
-}
-"""Links where a run writes, to a file or a folder that no command may change."""
+LINKED_FOLDERS = ["checkpoints", "tensorboard", "wandb", "checkpoints/000000120.part"]
+"""Where a run writes, and a link can lead to a file or a folder that no command may change."""

@@ -35,7 +35,7 @@ FUZZ = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCh
 def folder(tmp_path):
     env = make("tabletop_organization", reward_type="dense")
     config = make_config(env, make_algo("fbrl", discount=0.9), seeds=(3, 5))
-    return RunFolder.create(tmp_path / "run", config, "kinematic")
+    return RunFolder.create(tmp_path / "a run", config, "kinematic")
 
 
 def append_rows(folder, *steps):
@@ -160,7 +160,10 @@ def test_a_folder_without_results_is_used_by_the_next_run(folder, state, capsys)
 @pytest.mark.parametrize("state", RESULTS)
 def test_a_folder_with_results_is_replaced_only_on_request(folder, state, capsys):
     RESULTS[state](folder)
-    refusal = r"holds another run; choose another folder, continue it .* --overwrite .in Python, overwrite=True.$"
+    resume = f"earl-jax resume '{folder.path}'"
+    refusal = (
+        rf"another run; choose another folder, continue it with: {resume}, .* --overwrite .in Python, overwrite=True.$"
+    )
     with unchanged(folder.path), pytest.raises(ValueError, match=refusal):
         create(folder)
     with unchanged(folder.path), pytest.raises(ValueError, match="overwrite must be True or False, not 'no'"):
@@ -212,16 +215,6 @@ def test_files_that_another_process_removes_meanwhile_do_not_matter(folder, monk
     monkeypatch.setattr(os, "scandir", remove_and_scan)
     assert create(folder).path == folder.path
     assert not trial.exists()
-
-
-def test_a_command_that_continues_a_run_can_be_pasted(folder, tmp_path):
-    folder = RunFolder.open(folder.path.rename(tmp_path / "my run"))
-    append_rows(folder, 40)
-    with pytest.raises(ValueError, match=f"earl-jax resume '{folder.path}', or replace"):
-        create(folder)
-    folder.metrics.write_text(folder.metrics.read_text().replace("40,3", "80,3"))
-    with pytest.raises(ValueError, match=f"earl-jax resume '{folder.path}' continues"):
-        folder.table()
 
 
 def test_a_folder_that_another_process_took_over_is_not_used(folder):
