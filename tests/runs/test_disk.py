@@ -1,4 +1,4 @@
-"""Full disks, read-only disks and clocks that jump, with a real process: it goes on, or ends with one clear line."""
+"""Full disks, folders of another user and clocks that jump, with a real process: it goes on, or ends with one clear line."""
 
 import contextlib
 import os

@@ -21,15 +21,11 @@ from tests.conftest import TINY, TINY_RUN, assert_equal_trees, tiny_train
 
 @dataclasses.dataclass(frozen=True)
 class Meadow(TabletopOrganization):
-    """A task that is not registered."""
-
     demo_file: str | None = "tabletop_organization"
     name = "meadow"
 
 
 class Patient(Naive):
-    """A method that is not registered."""
-
     name = "patient"
 
 
@@ -111,7 +107,6 @@ def part(tmp_path_factory):
 
 @pytest.fixture
 def folder(part, tmp_path):
-    """A copy of `part`."""
     return shutil.copytree(part, tmp_path / "part")
 
 
