@@ -25,8 +25,11 @@ def state(problem):
     return advance(problem, method, make_train_state(problem, method, [0, 1]), 40)
 
 
-def at_step(state, step):
-    return state.replace(step=jnp.asarray(step, jnp.int32))
+def save(folder, state, *steps, span=slice(None)):
+    """Save the lanes `span` of `state` as those of each of `steps`, and return the folder."""
+    for step in steps:
+        checkpoint.save(folder, state.replace(step=jnp.asarray(step, jnp.int32)), span)
+    return folder
 
 
 def written_rows(replay):
@@ -53,11 +56,7 @@ def test_a_folder_of_any_name_is_written_and_read(tmp_path, state, name):
 @pytest.fixture
 def two_folders(tmp_path, state):
     """The folders of two runs, each with one lane of `state` at steps 40 and 80."""
-    folders = [tmp_path / "first", tmp_path / "second"]
-    for folder, span in zip(folders, (slice(0, 1), slice(1, 2)), strict=True):
-        for step in (40, 80):
-            checkpoint.save(folder, at_step(state, step), span)
-    return folders
+    return [save(tmp_path / name, state, 40, 80, span=slice(lane, lane + 1)) for lane, name in enumerate("ab")]
 
 
 def test_lanes_are_saved_in_separate_folders_and_restored_together_but_not_as_others(two_folders, problem, state):
@@ -79,18 +78,17 @@ def test_lanes_are_saved_in_separate_folders_and_restored_together_but_not_as_ot
 
 def test_lanes_are_restored_together_from_a_step_that_is_whole_in_every_folder(two_folders, state):
     flip_bit(two_folders[1] / "000000080/lanes/arrays.npz")
-    with pytest.warns(RunWarning, match="second/000000080 is damaged"):
+    with pytest.warns(RunWarning, match="b/000000080 is damaged"):
         assert int(checkpoint.restore_together(two_folders, [1, 1], state).step) == 40
 
 
 def test_the_two_newest_checkpoints_are_kept_and_an_unfinished_one_is_ignored_and_removed(tmp_path, state):
-    for step in (40, 80, 120):
-        checkpoint.save(tmp_path, at_step(state, step))
+    save(tmp_path, state, 40, 80, 120)
     for name in ("000000160.part", "trial.part_x"):
         shutil.copytree(tmp_path / "000000120", tmp_path / name)
     assert checkpoint.saved_steps(tmp_path) == [80, 120]
     assert int(checkpoint.restore(tmp_path, state).step) == 120
-    checkpoint.save(tmp_path, at_step(state, 10**9))
+    save(tmp_path, state, 10**9)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["000000120", "1000000000"]
     assert int(checkpoint.restore(tmp_path, state).step) == 10**9
 
@@ -112,7 +110,7 @@ def test_a_failed_write_leaves_the_older_checkpoints(tmp_path, state, monkeypatc
     monkeypatch.setattr(os, "fsync", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device\nand more")))
     message = r"000000080 can't be written: .*No space left on device; older checkpoints are unchanged"
     with pytest.raises(OSError, match=message):
-        checkpoint.save(tmp_path, at_step(state, 80))
+        save(tmp_path, state, 80)
     assert [path.name for path in tmp_path.iterdir()] == ["000000040"]
     assert int(checkpoint.restore(tmp_path, state).step) == 40
 
@@ -131,11 +129,10 @@ def test_the_first_checkpoint_is_read_back(tmp_path, state, monkeypatch):
 def test_a_checkpoint_that_cannot_be_removed_yet_does_not_stop_the_next_one(tmp_path, state, monkeypatch):
     read_elsewhere = OSError(errno.ENOTEMPTY, "a file in it is still read by another host")
     monkeypatch.setattr(shutil, "rmtree", Mock(side_effect=read_elsewhere))
-    for step in (40, 80, 120):
-        checkpoint.save(tmp_path, at_step(state, step))
+    save(tmp_path, state, 40, 80, 120)
     assert checkpoint.newest(tmp_path) == 120
     monkeypatch.undo()
-    checkpoint.save(tmp_path, at_step(state, 160))
+    save(tmp_path, state, 160)
     assert checkpoint.saved_steps(tmp_path) == [120, 160]
 
 
@@ -216,10 +213,7 @@ DAMAGE = {
 
 @pytest.fixture(scope="module")
 def two_steps(tmp_path_factory, state):
-    folder = tmp_path_factory.mktemp("two_steps")
-    for step in (40, 80):
-        checkpoint.save(folder, at_step(state, step))
-    return folder
+    return save(tmp_path_factory.mktemp("two_steps"), state, 40, 80)
 
 
 @pytest.mark.parametrize("kind", DAMAGE)
@@ -238,7 +232,7 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_it_is_used(two_steps, 
     shutil.rmtree(folder / "000000040")
     with pytest.raises(ValueError, match="no older checkpoint is intact"):
         checkpoint.restore(folder, state)
-    checkpoint.save(folder, at_step(state, checkpoint.newest(folder)))
+    save(folder, state, checkpoint.newest(folder))
     assert_equal_trees(checkpoint.restore(folder, state).lanes, state.lanes)
 
 

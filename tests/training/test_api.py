@@ -16,6 +16,7 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, FORWARD, STILL
 from earl_jax.runs.config import method_options
+from earl_jax.runs.table import COLUMNS
 from earl_jax.training import select_seed, split_options, train
 from tests.cli.process import run
 from tests.conftest import ALGOS, assert_all_finite, make_train_state, tiny_method, tiny_train, without_shares
@@ -30,10 +31,9 @@ def test_results_have_a_leading_seed_axis(problem, algo):
     assert types[0] == types[1], "dtypes and weak types too, so that one program serves all chunks"
     np.testing.assert_array_equal(result.steps, [40, 80, 120])
     assert {values.shape for values in result.metrics.values()} == {(2, 3)}
-    assert {"deployed/success", "deployed/return", "continuing/reward", "interventions"} <= set(result.metrics)
+    assert {*COLUMNS, WIDE, FORWARD, ALIVE, STILL} <= set(result.metrics)
     assert int(result.train_state.step) == 120
     assert_all_finite(without_shares(result.metrics))
-    assert {WIDE, FORWARD, ALIVE, STILL} <= set(result.metrics)
     assert result.metrics["entropy"][0, -1] != result.metrics["entropy"][1, -1]
 
 

@@ -211,9 +211,7 @@ def test_batches_drawn_ahead_are_those_of_each_step(problem, monkeypatch):
 
 @pytest.mark.parametrize("keep_demos", [True, False])
 @pytest.mark.parametrize(("algo", "capacity"), [("naive", CHUNK), ("fbrl", CHUNK // 2)])
-def test_demonstrations_are_sampled_until_the_replay_is_full_of_own_transitions_unless_they_are_kept(
-    problem, algo, capacity, keep_demos
-):
+def test_demonstrations_are_sampled_until_own_steps_fill_the_replay_or_kept(problem, algo, capacity, keep_demos):
     """Two controllers have twice the capacity of one."""
     method = tiny_method(algo, replay_capacity=capacity, keep_demos=keep_demos, batch_size=1024)
     state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK, warmup=True)
