@@ -83,6 +83,7 @@ CONFIG = [
     ("file", b"", "config.json is damaged: "),
     ("file", b"\xff" * 100_000, "config.json is damaged: UnicodeDecodeError: 'utf-8' codec can't decode byte 0xff"),
     ("file", b"[]", "config.json is damaged: "),
+    ("file", b"\xef\xbb\xbf{}", "it names no format"),
     ("file", b" " * (17 << 20), "config.json is larger than 16 MiB, the limit"),
 ]
 """Entries of config.json, the text of another value (None removes the entry) or the bytes of the file, and the message."""
