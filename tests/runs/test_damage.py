@@ -71,10 +71,9 @@ def test_missing_or_foreign_rows_are_refused_before_training_and_by_every_reader
 def test_the_message_names_the_checkpoint_whose_rows_are_intact(finished):
     lines = (finished / "metrics.csv").read_text().splitlines(keepends=True)
     (finished / "metrics.csv").write_text("".join(lines[:6]))
-    expected = (
-        "its rows end at step 80, but the newest checkpoint is of step 120; restore the file from a copy, or delete"
-    )
-    assert f"{expected} checkpoints/000000120 to resume from step 80" in message_of(lambda: resume(finished))
+    message = message_of(lambda: resume(finished))
+    assert "its rows end at step 80, but the newest checkpoint is of step 120; restore the file from a copy" in message
+    assert message.endswith(", or delete checkpoints/000000120 to resume from step 80")
     (finished / "metrics.csv").write_text(lines[0])
     again = f"restore the file from a copy, or train again with: earl-jax train --config {finished} --out NEW"
     assert message_of(lambda: resume(finished)).endswith(again)
@@ -89,12 +88,11 @@ def test_the_message_names_the_checkpoint_whose_rows_are_intact(finished):
 
 def test_a_run_whose_checkpoints_were_removed_is_not_trained_again(finished):
     shutil.rmtree(finished / "checkpoints")
-    expected = (
-        rf"is finished \(120 steps\) and its checkpoints are gone; earl_jax\.load\('{finished}'\) or earl-jax show"
-    )
+    ways = f"earl_jax.load({str(finished)!r}) or earl-jax show"
     for options in ({}, {"steps": 240}):
-        with unchanged(finished), pytest.raises(InputError, match=expected):
-            resume(finished, **options)
+        with unchanged(finished):
+            message = message_of(lambda options=options: resume(finished, **options))
+        assert f"is finished (120 steps) and its checkpoints are gone; {ways}" in message
     RunFolder.open(finished).record(steps=240)
     assert "has reached step 120 (240 steps) and its checkpoints are gone" in message_of(lambda: resume(finished))
 
