@@ -41,11 +41,7 @@ def items_of(text: str) -> list[Item]:
 
 
 def attribute(path: str) -> Any:
-    """Return the object `module:name`; a field without a default returns its declaration.
-
-    Raises:
-        ImportError, AttributeError: there is no such object.
-    """
+    """Return the object `module:name`; a field without a default returns its declaration."""
     module, names = path.split(":")
     found = importlib.import_module(module)
     for name in names.split("."):
@@ -56,11 +52,7 @@ def attribute(path: str) -> Any:
 
 
 def build(name: str, field: str, value: str) -> Any:
-    """Return the task, method or setting `name` with one option.
-
-    Raises:
-        ValueError: nothing has that name, or it has no such option or value.
-    """
+    """Return the task, method or setting `name` with one option."""
     for names, make in ((envs.list_envs(), envs.make), (algos.list_algos(), algos.make_algo)):
         if name in names:
             return make(name, **parse_options((f"{field}={value}",)))

@@ -102,14 +102,17 @@ def test_a_run_without_a_value_of_a_metric_is_left_out_of_the_ranking(tmp_path):
         best([tmp_path / "3", tmp_path / "1"], metric="loss")
 
 
-def test_runs_of_a_task_by_success_and_by_return_are_ranked_by_themselves(tmp_path):
+def test_each_task_and_kind_of_reward_is_ranked_by_itself_and_a_single_run_is_best(tmp_path):
     for reward, algo in (("sparse", "naive"), ("dense", "naive"), ("dense", "fbrl")):
         write_run(tmp_path / reward / algo, TABLETOP, algo, constant(*GOOD), env_options={"reward_type": reward})
+    write_run(tmp_path / "door", DOOR, "fbrl", constant(0.5))
     rows = best([tmp_path])
-    assert sorted((row["metric"], row["verdict"]) for row in rows) == [
-        ("deployed/return", "tied"), ("deployed/return", "tied"), ("deployed/success", "best"),
+    assert sorted((row["env"], row["metric"], row["rank"], row["verdict"]) for row in rows) == [
+        (DOOR, "deployed/success", 1, "best"), *[(TABLETOP, "deployed/return", 1, "tied")] * 2,
+        (TABLETOP, "deployed/success", 1, "best"),
     ]  # fmt: skip
     assert best_text(rows).count(f"{TABLETOP}, deployed/") == 2
+    assert best_text(rows).count("no other run of the same length") == 2
 
 
 def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
@@ -126,11 +129,3 @@ def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     assert max(map(len, best_text(few, width=70).splitlines())) <= 70
     with pytest.raises(ValueError, match=r"top must lie in \[1, 2147483647\], not 0"):
         best_text(few, top=0)
-
-
-def test_tasks_are_ranked_apart_and_a_single_run_is_best(tmp_path):
-    write_cells(tmp_path / "a", good=GOOD)
-    write_run(tmp_path / "door", DOOR, "fbrl", constant(0.5))
-    rows = best([tmp_path])
-    assert [(row["env"], row["rank"], row["verdict"]) for row in rows] == [(TABLETOP, 1, "best"), (DOOR, 1, "best")]
-    assert "no other run of the same length" in best_text(rows)

@@ -22,16 +22,7 @@ def test_groups_are_in_the_order_of_the_paper_with_labels_that_differ(tmp_path):
     ]  # fmt: skip
 
 
-def test_labels_of_different_methods_have_the_options_of_task_and_setting_that_differ(tmp_path):
-    runs = {"naive": {"env_options": {"wide": True}}, "fbrl": {"setting": Continuing(), "reward_scale": 1.0}}
-    paths = [write_run(tmp_path / algo, TABLETOP, algo, rising(1, 1), **options) for algo, options in runs.items()]
-    other_task = write_run(tmp_path / "oracle", DOOR, "oracle", rising(1, 1))
-    assert labels(read_all([*paths, other_task])) == [
-        "naive (setting=deployment, wide=True)", "fbrl (setting=continuing, wide=False)", "oracle",
-    ]  # fmt: skip
-
-
-def test_labels_have_the_options_that_differ_also_of_learners_settings_and_unknown_methods(tmp_path):
+def test_labels_have_the_options_that_differ_within_a_method_and_those_of_task_and_setting(tmp_path):
     small = {"hidden_sizes": (32, 32), "learning_rate": 3e-4}
     runs = {
         "a": {**small, "learner": "td3", "policy_delay": 3},
@@ -39,10 +30,16 @@ def test_labels_have_the_options_that_differ_also_of_learners_settings_and_unkno
         "c": {**small, "env_options": {"wide": True}},
     }
     paths = [write_run(tmp_path / name, TABLETOP, "fbrl", rising(1, 1), **options) for name, options in runs.items()]
-    assert labels(read_all(paths)) == [
+    others = [
+        write_run(tmp_path / "d", TABLETOP, "naive", rising(1, 1), reward_scale=1.0),
+        write_run(tmp_path / "e", DOOR, "oracle", rising(1, 1)),
+    ]
+    assert labels(read_all([*paths, *others])) == [
         "fbrl (budget=None, learner=td3, policy_delay=3, setting=deployment, wide=False)",
         "fbrl (budget=20, learner=sac, setting=continuing, wide=False)",
         "fbrl (budget=None, learner=sac, setting=deployment, wide=True)",
+        "naive (budget=None, setting=deployment, wide=False)",
+        "oracle",
     ]
     for path in paths[:2]:
         change_config(path, algo="theirs")

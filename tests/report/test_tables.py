@@ -68,15 +68,9 @@ def test_runs_with_other_options_have_rows_notes_and_published_scores_of_their_o
     settings = {"a": {}, "b": {"setting": Continuing(goal_change=7)}, "c": {"reward_scale": 1.0}}
     paths = [write_three_evaluations(tmp_path / name, **options) for name, options in settings.items()]
     rows = tables.tabulate(paths)
-    names = [
-        "naive (reward_scale=10, setting=deployment)",
-        "naive (goal_change=7, reward_scale=10, setting=continuing)",
-        "naive (reward_scale=1, setting=deployment)",
-    ]
-    assert [row["algo"] for row in rows] == names
     assert [row["published_deployed"] for row in rows] == ["0.32 (0.17)", None, "0.32 (0.17)"]
     text = tables.run_table(rows).text()
-    assert [f"| {name} |" in text for name in names] == [True] * 3
+    assert all(f"| {row['algo']} |" in text for row in rows)
     assert text.endswith("naive (reward_scale=1, setting=deployment): reward_scale=1")
 
 
