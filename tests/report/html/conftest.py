@@ -25,13 +25,12 @@ class Reader(html.parser.HTMLParser):
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
-        self.tags, self.links, self.attributes, self.shown_parts, self.raw = [], [], [], [], {}
+        self.tags, self.links, self.shown_parts, self.raw = [], [], [], {}
         self.element = ""
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
-        self.attributes += [name for name, _ in attrs]
         self.links += [value for name, value in attrs if name in ("src", "href", "srcset", "poster", "action", "data")]
         self.element = (dict(attrs).get("id") or "own") if tag == "script" else tag
 
