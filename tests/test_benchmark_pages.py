@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from benchmarks import output, redraw
-from benchmarks.output import RESULTS, read_csv, with_tables
+from benchmarks.output import RESULTS, read_csv
 from benchmarks.paper import cells, grid, pairs
 from earl_jax.cli import quickstart
 from earl_jax.metrics.comparison import smallest_p
 from earl_jax.paper.reproduce import ARTEFACTS
 from earl_jax.report.tables import millions, number_text
+from tests.conftest import write_files
 from tests.report.run_files import DOOR, change_config, rising, write_run
 from tests.test_differences import FORMER, VARIANT
 from tests.test_docs import table_rows
@@ -23,24 +24,18 @@ def test_the_pages_are_those_of_the_kept_runs(module):
         assert path.read_text() == text, f"run python -m {module.__name__}"
 
 
-def test_a_table_stands_between_its_comments():
-    page = "A <!-- x -->old<!-- end of x --> B <!-- y -->"
-    assert with_tables(page, {"x": "new"}) == "A <!-- x -->\n\nnew\n\n<!-- end of x --> B <!-- y -->"
-    with pytest.raises(ValueError, match="lacks <!-- y --> or <!-- end of y -->"):
-        with_tables(page, {"y": "new"})
-
-
-def test_a_table_goes_to_every_page_with_its_marks_and_one_without_a_page_is_an_error(tmp_path, monkeypatch):
-    for name, text in (("README.md", "<!-- x --><!-- end of x -->"), ("docs/a.md", "<!-- x --> <!-- end of x -->")):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
+def test_a_table_goes_between_its_marks_on_every_page_and_one_without_both_is_an_error(tmp_path, monkeypatch):
+    texts = {"README.md": "A <!-- x -->old<!-- end of x --> B <!-- y -->", "docs/a.md": "<!-- x --> <!-- end of x -->"}
+    write_files(texts, tmp_path)
     monkeypatch.setattr(output, "ROOT", tmp_path)
     monkeypatch.setattr(output, "DOCS", tmp_path / "docs")
-    pages = output.pages_with({"x": "new"})
-    assert {path.relative_to(tmp_path).as_posix() for path in pages} == {"README.md", "docs/a.md"}
-    assert set(pages.values()) == {"<!-- x -->\n\nnew\n\n<!-- end of x -->"}
-    with pytest.raises(ValueError, match="no page has the marks of y"):
-        output.pages_with({"x": "new", "y": "-"})
+    pages = {path.relative_to(tmp_path).as_posix(): text for path, text in output.pages_with({"x": "new"}).items()}
+    table = "<!-- x -->\n\nnew\n\n<!-- end of x -->"
+    assert pages == {"README.md": f"A {table} B <!-- y -->", "docs/a.md": table}
+    with pytest.raises(ValueError, match="lacks <!-- y --> or <!-- end of y -->"):
+        output.pages_with({"y": "new"})
+    with pytest.raises(ValueError, match="no page has the marks of z"):
+        output.pages_with({"x": "new", "z": "-"})
 
 
 def cell(env, algo, verdict="cannot tell", steps=1.0, mean=0.5, other=0.25):
