@@ -13,6 +13,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import Format, get_annotations
+
 PACKAGE = Path(__file__).parent
 SIMILAR = 0.82
 """The ratio of difflib from which a name of a member counts as a misspelling of another."""
@@ -60,9 +62,9 @@ def check_overrides(cls: type) -> None:
     That is a public member, no option, that is nearly called as one that it could override, or a method that overrides one
     of this package and takes other arguments, or another order.
     """
-    bases, own = [vars(base) for base in cls.__mro__[1:]], vars(cls)
-    inherited = {name for base in bases for name in (*base, *base.get("__annotations__", {}))}
-    options = {name for name, kind in own.get("__annotations__", {}).items() if "ClassVar" not in str(kind)}
+    own = vars(cls)
+    inherited = {name for base in cls.__mro__[1:] for name in (*vars(base), *annotations(base))}
+    options = {name for name, kind in annotations(cls).items() if "ClassVar" not in str(kind)}
     known = [name for name in inherited - own.keys() if not name.startswith("_")]
     for name in sorted(own.keys() - inherited - options):
         if not name.startswith("_") and (near := get_close_matches(name, known, 1, SIMILAR)):
@@ -79,6 +81,11 @@ def check_overrides(cls: type) -> None:
         moved = any(text in expected and text != wanted for text, wanted in zip(needed, expected, strict=False))
         if not takes_any and (moved or len(needed) != len(expected)):
             raise InputError(f"{cls.__name__}.{name} must take ({', '.join(expected)}), not ({', '.join(given)})")
+
+
+def annotations(cls: type) -> dict[str, Any]:
+    """Return the annotations of the class itself, where a name that is unknown is left as it is written."""
+    return get_annotations(cls, format=Format.FORWARDREF)
 
 
 def _is_method(value: Any) -> bool:

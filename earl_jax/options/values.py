@@ -13,7 +13,7 @@ import typing
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from earl_jax.errors import InputError, brief
+from earl_jax.errors import InputError, annotations, brief
 
 LARGEST_INT = 2**31 - 1
 """The largest count that a program can hold: int32."""
@@ -125,7 +125,7 @@ def _annotations(cls: type) -> list[tuple[str, Any]]:
         try:
             items += inspect.get_annotations(base, eval_str=True).items()
         except Exception:  # such as the name of a type that is imported for type checkers alone
-            items += inspect.get_annotations(base).items()
+            items += annotations(base).items()
     return items
 
 

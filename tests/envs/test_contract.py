@@ -12,6 +12,7 @@ from benchmarks.physics.minitaur_trots import loop_error
 from earl_jax import physics
 from earl_jax.envs import PAPER_TASKS, Env, HelpBudget, KinematicEnv, MujocoEnv, env_class, list_envs, make, with_engine
 from earl_jax.envs.dhand.observation import TABLE
+from earl_jax.errors import annotations
 from tests.conftest import assert_all_finite, assert_equal_trees, to_numpy
 from tests.envs.chain import Chain
 from tests.envs.programs import first_state, program, starts
@@ -242,7 +243,7 @@ def test_actions_and_goals_can_be_lists(env):
     ],
 )
 def test_the_members_of_a_task_are_few_and_those_to_write_fewer(cls, count, written):
-    names = {name for base in cls.__mro__ for name in (*vars(base), *vars(base).get("__annotations__", {}))}
+    names = {name for base in cls.__mro__ for name in (*vars(base), *annotations(base))}
     assert sum(not name.startswith("_") for name in names) <= count
     every_task = {"state_size", "action_size", "goal_states", "initial_states", "reset", "success", "reward"}
     assert cls.__abstractmethods__ == every_task | written
