@@ -17,11 +17,12 @@ TINY = ["--seeds", "2", "--steps", "120", "--eval-every", "40", "--eval-episodes
 TINY_OPTIONS = ["--set", "hidden_sizes=[16]", "batch_size=16", "--set", "random_steps=20"]
 ADDED = {
     "JAX_PLATFORMS": "cpu",
+    "PYTHONUNBUFFERED": "",
     "JAX_COMPILATION_CACHE_DIR": str(CACHE),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "PYTHONPATH": os.pathsep.join(filter(None, [str(TESTS.parent), os.environ.get("PYTHONPATH")])),
 }
-"""Variables that let a process find the tests and share their compiled programs."""
+"""Variables that let a process find the tests, share their compiled programs and buffer its output as a user's does."""
 ENVIRONMENT = {**os.environ, **ADDED}
 
 
