@@ -47,6 +47,6 @@ def balanced_starts(env: Env, key: jax.Array, episodes: int) -> State:
 
     def start(key: jax.Array, pair: jax.Array) -> State:
         state = env.reset(key) if listed.numbered is None else listed.numbered(key, pair // len(goals))
-        return env.with_goal(state, goals[pair % len(goals)]) if len(goals) > 1 else state
+        return env.with_goal(state, goals[pair % len(goals)])
 
     return jax.vmap(start)(jax.random.split(key, episodes), order[jnp.arange(episodes) % pairs])

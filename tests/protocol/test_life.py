@@ -167,6 +167,7 @@ def test_a_spent_budget_ends_a_life_and_not_its_evaluation():
     assert lives.counters.interventions[:, 0].tolist() == [1, 1, 1], "what has ended is not reset"
     np.testing.assert_array_equal(lives.has_ended, results.terminated)
     ended = jax.tree.map(lambda leaf: leaf[-1, 0], lives)
+    assert int(jax.jit(intervene, static_argnums=0)(env, ended).counters.interventions) == 1
     measure = jax.jit(lambda life: evaluate(env, Protocol(0, 4), life, lambda obs: jnp.array([RIGHT, RIGHT])))
     metrics = measure(ended)[1]
     expected = {"help/asked": 2, "help/enforced": 0, "help/budget": 0, "help/over": 1}
