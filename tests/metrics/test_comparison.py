@@ -94,6 +94,12 @@ def test_no_interval_knows_of_failures_that_five_seeds_did_not_show():
     assert held == [pytest.approx(0.63, abs=0.01), pytest.approx(0.58, abs=0.01)]
 
 
+def test_the_interval_of_seeds_that_succeed_or_fail_is_wilsons_for_as_many_trials():
+    level = 2 * stats.norm.cdf(stats.t.ppf(0.975, 4)) - 1  # the quantile is Student's
+    expected = stats.binomtest(3, 5).proportion_ci(level, "wilson")
+    assert mean_interval(np.array([0.0, 0, 1, 1, 1]), rate=True)[1:] == pytest.approx((expected.low, expected.high))
+
+
 def test_an_interval_needs_three_seeds_and_a_band_has_no_width_where_seeds_agree():
     assert mean_interval(np.ones(5), rate=True).low == pytest.approx(5 / (5 + stats.norm.ppf(0.975) ** 2))
     assert np.isnan(mean_interval(np.array([0.2, 0.4]))[1:]).all()
