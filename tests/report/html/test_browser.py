@@ -2,8 +2,10 @@
 
 import shutil
 
+import numpy as np
 import pytest
 
+from earl_jax.metrics.phase_stats import FORWARD
 from tests.attacks.test_reports import HOSTILE, write_labelled
 from tests.report.run_files import rising, write_page_run
 
@@ -73,18 +75,19 @@ def test_a_browser_shows_the_page_without_errors(browser, written):
 
 
 @pytest.mark.slow
-def test_a_browser_draws_seeds_with_one_evaluation(browser, tmp_path):
+@pytest.mark.parametrize(("evaluations", "panel"), [(1, 0), (5, 2)])
+def test_a_browser_draws_an_evaluation_without_neighbours(browser, tmp_path, evaluations, panel):
     from earl_jax.report.html.writing import write_page
 
-    write_page_run(tmp_path / "run", "fbrl", rising(2, 1))
+    shares = np.array([[np.nan, 0.8, np.nan, 0.1, 0.2]] * 2)[:, :evaluations]
+    write_page_run(tmp_path / "run", "fbrl", rising(2, evaluations), metrics={FORWARD: shares})
     tab = browser.new_page()
     tab.goto(write_page([tmp_path / "run"], tmp_path / "page.html").as_uri())
     tab.wait_for_selector("html[data-ready]", state="attached", timeout=60_000)
+    tab.locator("details").evaluate_all("all => all.forEach((details) => { details.open = true; })")
     tab.locator('#t0 [data-show="each"]').check()
-    points = [
-        tab.locator(f'#t0 [data-panel="0"] g.trace[class*="-{kind}"] path.point').count() for kind in ("mean", "each")
-    ]
-    assert points == [1, 2]
+    drawn = f'#t0 [data-panel="{panel}"] g.trace[class*="-%s"] path.point:not([d^="M0,"])'
+    assert [tab.locator(drawn % kind).count() for kind in ("mean", "each")] == [1, 2]
 
 
 @pytest.mark.slow

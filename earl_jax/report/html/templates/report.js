@@ -39,12 +39,16 @@
     };
   }
 
-  const mode = (x) => (x.length > 1 ? "lines" : "markers");  // a line of one point is invisible
+  function drawn(y, size) {  // a line does not show a point between gaps
+    const missing = (i) => (y[i] ?? null) === null;
+    const sizes = y.map((_, i) => (!missing(i) && missing(i - 1) && missing(i + 1) ? size : 0));
+    return sizes.some(Boolean) ? { mode: "lines+markers", marker: { size: sizes } } : { mode: "lines" };
+  }
 
   function seedsTrace(x, part, base) {
-    const gaps = (rows) => rows.flatMap((row) => [...row, null]);
+    const gaps = (rows) => rows.flatMap((row) => [...row, null]), y = gaps(part.each);
     return {
-      ...base, x: gaps(part.each.map(() => x)), y: gaps(part.each), mode: mode(x), opacity: 0.5, marker: { size: 5 },
+      ...base, x: gaps(part.each.map(() => x)), y, ...drawn(y, 5), opacity: 0.5,
       line: { color: base.line.color, width: 0.8 }, hoverinfo: "skip",
     };
   }
@@ -73,7 +77,7 @@
   function meanTrace(x, part, base, digits) {
     const spread = part.low ? `<br>95 % of the mean: %{customdata[0]:.${digits}~g} to %{customdata[1]:.${digits}~g}` : "";
     return {
-      ...base, x, y: part.mean, mode: mode(x), marker: { size: 7 },
+      ...base, x, y: part.mean, ...drawn(part.mean, 7),
       customdata: part.low ? part.low.map((low, i) => [low, part.high[i]]) : undefined,
       hovertemplate: `<b>${base.name}</b> %{y:.${digits}~g} at %{x:,}${spread}<extra></extra>`,
     };
