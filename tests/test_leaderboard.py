@@ -127,8 +127,8 @@ def test_a_run_that_breaks_a_rule_is_refused(tmp_path, run, values, rule):
 
 
 def test_a_run_with_few_seeds_and_a_second_one_of_the_same_options_are_refused(tmp_path, run):
-    with pytest.raises(ValueError, match="it has 4 seeds, fewer than 5"):
-        leaderboard.add(written(tmp_path / "few", SCORES[:4]), tmp_path / "results")
+    with pytest.raises(SystemExit, match="it has 4 seeds, fewer than 5"):
+        leaderboard.main(written(tmp_path / "few", SCORES[:4]))
     leaderboard.add(run, tmp_path / "results")
     copy = shutil.copytree(run, tmp_path / "copy")
     with pytest.raises(ValueError, match="has the same task, method and options"):

@@ -10,6 +10,7 @@ again.
 import math
 import re
 import shutil
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -253,7 +254,10 @@ def files() -> dict[Path, str]:
 def main(run: Annotated[Path | None, tyro.conf.arg(name="add", metavar="RUN")] = None) -> None:
     """Write the page, with the run folder to add if one is given."""
     if run:
-        print(add(run))
+        try:
+            print(add(run))
+        except InputError as error:
+            sys.exit(f"{error}")
     write_files(files())
 
 
