@@ -80,7 +80,7 @@ def require_object(noun: str, given: Any, kind: type, or_name: bool = True) -> N
         call = f"; did you mean {given.__name__}()?" if isinstance(given, type) else ""
         wanted = f"{'a name or ' * or_name}an object of {kind.__name__}"
         raise InputError(f"the {noun} must be {wanted}, not {brief(given)}{call}")
-    if "name" in inspect.get_annotations(kind) and isinstance(given, kind) and not hasattr(given, "name"):
+    if "name" in annotations(kind) and isinstance(given, kind) and not hasattr(given, "name"):
         raise InputError(f"the class {type(given).__name__} needs a `name`, as in name: ClassVar[str] = 'mine'")
 
 
