@@ -144,6 +144,15 @@ def test_hand_and_handle_positions_from_joints_are_those_of_mujoco():
         np.testing.assert_allclose(dragging, mocap, atol=1e-5)
 
 
+def test_every_number_of_an_object_belongs_to_the_component_whose_joint_it_follows():
+    components, joints = kitchen_reward.COMPONENTS, kitchen_reward.JOINT
+    assert sorted(index for component in components for index in component) == list(range(9, 23))
+    for component, name in zip(components, kitchen_reward.SITES, strict=True):
+        own = MODEL.body_jntadr[MODEL.site(name).bodyid[0]]
+        assert own in joints[[*component]]
+        assert set(np.flatnonzero(joints == own)) <= {*component}
+
+
 def test_the_papers_reward_and_the_sparse_reward():
     state = program(ENV, "step")(first_state(ENV), jnp.zeros(9))
     paper, sparse = dataclasses.replace(ENV, variant="paper"), dataclasses.replace(ENV, reward_type="sparse")

@@ -205,6 +205,11 @@ def test_points_of_figure_2_are_tested_over_the_same_steps_and_not_without_any(t
         assert tested in ARTEFACTS["figure2"].report(write_runs(tmp_path / str(len(steps)), runs)).parts["findings"]
 
 
+def test_a_method_of_figure_2_with_one_horizon_is_not_tested(tmp_path):
+    runs = write_runs(tmp_path, [(CHEETAH, "naive", SCORES, {"env_options": SHORT})])
+    assert "cheetah_run" not in ARTEFACTS["figure2"].report(runs).parts["findings"]
+
+
 def test_a_line_of_the_trade_off_is_scored_over_the_same_steps(tmp_path):
     """Both are scored over steps 60 to 100, the last five evaluations of the rarer ones."""
     ages = [(np.arange(10, 110, 10), 0.0), (np.arange(2, 102, 2), 0.01)]

@@ -161,13 +161,17 @@ def test_invalid_options_and_actions_of_the_tasks_own_size_are_refused(options, 
         jax.eval_shape(lambda: env.step(start_state(env), jnp.zeros(1)))
 
 
-def test_a_lane_at_its_absorbing_end_stops_learning_and_storing():
+def test_a_lane_learns_until_its_absorbing_end_and_then_stops_learning_and_storing():
     """Losses of the updates that it does not take used to stand in metrics.csv."""
     problem = Problem(HelpBudget(Chain(), budget=5.0, help_above=-1.0), Protocol(train_horizon=7, eval_horizon=5))
     method = tiny_method("naive")
     run = jax.jit(lambda state: run_steps(problem, method, state, 5))
-    before = run(make_train_state(problem, method, [0, 1], steps=20))
+    first = make_train_state(problem, method, [0, 1], steps=20)
+    before = run(first)
     after = run(before)
+    actors = [state.lanes.agent.actor for state in (first, before)]
+    changed = [(old != new).reshape(2, -1).any(axis=1) for old, new in zip(*map(jax.tree.leaves, actors), strict=True)]
+    assert np.any(changed, axis=0).tolist() == [True, True]
     assert before.lanes.env_state.done.tolist() == [1, 1]
     assert before.replay.counts[:, 0].tolist() == after.replay.counts[:, 0].tolist() == [5, 5]
     kept = [
