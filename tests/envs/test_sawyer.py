@@ -33,7 +33,7 @@ def test_the_observed_reset_pose_agrees_with_its_joints(env):
 
 @pytest.mark.parametrize("env", [DOOR, dataclasses.replace(DOOR, reset_at_goal=True), PEG])
 def test_the_reset_pose_is_where_250_substeps_lead_the_arm(env):
-    """Those of the released poses are of an older MuJoCo, which leaves the arm up to 0.014 rad and 0.15 rad/s from ours."""
+    """The released poses come from an older MuJoCo: they differ from ours by up to 0.014 rad and 0.15 rad/s."""
     reset = physics.mujoco_data(env.name, first_state(env).data)
     settled = mujoco.MjData(reset.model)
     settled.mocap_pos[:], settled.mocap_quat[:], settled.ctrl[:] = env.pose.target, reset.mocap_quat, (-1, 1)
@@ -181,7 +181,7 @@ def test_peg_dense_reward_rises_along_a_demonstration_ends_at_ten_and_is_that_of
     assert goal_reward(last, last.obs[:7]) == 10.0
 
 
-def test_pegs_dense_reward_counts_distances_across_the_hole_twice():
+def test_the_pegs_dense_reward_counts_distances_across_the_hole_twice():
     env = dataclasses.replace(PEG, reward_type="dense")
     heads = PEG.goal_states[0, 4:] + np.float32([[0.04, 0, 0], [0, 0.04, 0], [0, 0, 0.04], [0.06, 0, 0]])
     obs = np.hstack([np.tile(PEG.goal_states[0, :4], (4, 1)), heads, np.tile(PEG.goal_states[0], (4, 1))])
