@@ -21,17 +21,18 @@ from tests.envs.programs import first_state, program, run_actions, run_alone, st
 TASKS = ("sawyer_door", "sawyer_peg")
 DOOR, PEG = map(make, TASKS)
 RECORDED = Path(__file__).parents[3] / "shared" / "reference_demos"
+EVERY_POSE = pytest.mark.parametrize("env", [DOOR, dataclasses.replace(DOOR, reset_at_goal=True), PEG])
 EVERY_TASK = pytest.mark.parametrize("name", TASKS)
 
 
-@pytest.mark.parametrize("env", [DOOR, dataclasses.replace(DOOR, reset_at_goal=True), PEG])
+@EVERY_POSE
 def test_the_observed_reset_pose_agrees_with_its_joints(env):
     hand, right, left = physics.mujoco_data(env.name, first_state(env).data).sensordata[:9].reshape(3, 3)
     np.testing.assert_allclose(hand, env.pose.hand, atol=1e-6)
     assert np.clip(np.linalg.norm(right - left) / 0.1, 0, 1) == pytest.approx(env.pose.grip, abs=1e-5)
 
 
-@pytest.mark.parametrize("env", [DOOR, dataclasses.replace(DOOR, reset_at_goal=True), PEG])
+@EVERY_POSE
 def test_the_reset_pose_is_where_250_substeps_lead_the_arm(env):
     """The released poses come from an older MuJoCo: they differ from ours by up to 0.014 rad and 0.15 rad/s."""
     reset = physics.mujoco_data(env.name, first_state(env).data)
