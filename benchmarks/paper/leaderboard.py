@@ -97,7 +97,7 @@ def _paper_row(env: str, algo: str) -> Row:
     score, rewards = published_score(1, env, algo), published_score(2, env, algo)
     assert score is not None
     length, crossings = training_steps(env), {}
-    deployed = Estimate(score.value, *(score.interval or (math.nan, math.nan)))
+    deployed = Estimate(score.value, *score.interval)
     if released := released_curves(env, algo):
         deployed = interval_of(released, seed_scores(released.until(length)))
         crossings = crossing_texts(released)
@@ -108,7 +108,7 @@ def _paper_row(env: str, algo: str) -> Row:
         "seeds": SEEDS,
         "steps": length,
         "deployed": score_text(env, *deployed),
-        "continuing": rewards.text if rewards and rewards.mean not in ("-", "") else "-",
+        "continuing": rewards.text if rewards else "-",
         **crossings,
         "score": round(float(deployed.value), 6),
     }

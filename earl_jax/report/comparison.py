@@ -157,11 +157,10 @@ def _released_rows(curves: Curves, metric: str | None) -> list[Row]:
 def _printed_rows(curves: Curves) -> list[Row]:
     """Return the comparison of a run of the published length with the printed score; of another, a row without a test."""
     score = published_score(1, curves.env, curves.algo) if curves.comparable else None
-    sample = score and score.sample
-    if not score or not sample:
+    if not score or not score.sample:
         return []
     step, length = curves.length, training_steps(curves.env)
-    row = _row(curves, step, seed_scores(curves), f"published {score.text}", sample)
+    row = _row(curves, step, seed_scores(curves), f"published {score.text}", score.sample)
     if curves.env in RECONSTRUCTED:
         row |= untested(OTHER_TASK) | {"second": "published", "other_mean": math.nan}
     elif step < length:

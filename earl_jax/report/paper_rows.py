@@ -59,7 +59,7 @@ def paper_rows(number: int, runs: Sequence[Curves]) -> list[Row]:
 
 def _row(number: int, env: str, algo: str, curves: Curves | None) -> Row:
     score = published_beside(number, curves) if curves else published_score(number, env, algo)
-    low, high = (score and score.interval) or (None, None)
+    low, high = score.interval if score else (None, None)
     steps_low, steps_high = published_steps(env) or (None, None)
     row = {
         "env": env,
@@ -110,6 +110,6 @@ def table_scores(number: int, curves: Curves) -> np.ndarray:
 def share_of_steps(row: Row) -> str:
     """Return, as `at 12 % of the steps`, the share of the published ones that a shorter run has; else an empty text."""
     least = row["published_steps_low"]
-    if row["published_mean"] == "-" or row["steps"] is None or not least or row["steps"] >= least:
+    if row["published_mean"] == "-" or row["steps"] is None or row["steps"] >= least:
         return ""
     return f"at {share_text(row['steps'], least)} of the steps"

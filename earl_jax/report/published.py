@@ -87,16 +87,14 @@ class PublishedScore(NamedTuple):
         return self.mean + ("" if self.stderr == "-" else f" ({self.stderr})")
 
     @property
-    def interval(self) -> tuple[float, float] | None:
-        """The 95 % interval of the mean, half a unit of its last digit wider; `<x` gives 0 to x, `-` gives None.
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval of the mean, half a unit of its last digit wider; `<x`, which has no error, gives 0 to x.
 
         It is Student's, or within [0, 1] Wilson's: all published rates are there, and no return is.
         """
-        if self.mean.startswith("<"):
-            return 0.0, float(self.mean[1:])
         sample = self.sample
         if sample is None:
-            return None
+            return 0.0, self.value
         rounding, rate = _half_unit(self.mean), 0 <= sample.mean <= 1
         error = 0.0 if rate and not float(self.stderr) else sample.stderr
         low, high = error_interval(sample.mean, error, SEEDS, rate)
@@ -109,7 +107,7 @@ class PublishedScore(NamedTuple):
 
         The paper divides by n. An error that is printed as 0 counts as half a unit of its last digit.
         """
-        if self.mean in ("-", "") or self.mean.startswith("<") or self.stderr == "-":
+        if self.stderr == "-":
             return None
         error = max(float(self.stderr), _half_unit(self.stderr)) * math.sqrt(SEEDS / (SEEDS - 1))
         return Sample(float(self.mean), error, SEEDS)

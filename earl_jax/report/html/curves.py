@@ -10,7 +10,7 @@ from earl_jax.metrics.continuing import DIVERGED, OVER
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
 from earl_jax.metrics.scores import CONTINUING, RATES, SUCCESS
-from earl_jax.report.published import published_beside, published_steps
+from earl_jax.report.published import published_beside, training_steps
 from earl_jax.report.runs import Curves, by_method
 from earl_jax.report.scores import SMOOTH, crossings_beside, evenly_spaced, interval_of, trailing
 from earl_jax.report.style import colours, grouped, lightened, shaded
@@ -131,14 +131,11 @@ def _short(values: np.ndarray) -> list[float | None]:
 
 def _published(line: Line, metric: str) -> dict[str, Any] | None:
     """Return the published numbers of this line: the final value with its interval, and the steps of its crossings."""
-    numbers = {line.curves.deployed_metric: 1, CONTINUING: 2}
-    if metric not in numbers:
+    number = {line.curves.deployed_metric: 1, CONTINUING: 2}.get(metric)
+    score = published_beside(number, line.curves) if number else None
+    if score is None:
         return None
     published = crossings_beside(line.curves) if metric == SUCCESS else {}
     crossings = [[step, level] for level, step in published.items()]
-    score = published_beside(numbers[metric], line.curves)
-    if score is None or score.interval is None:
-        return {"final": None, "crossings": crossings} if crossings else None
-    steps = published_steps(line.curves.env)
-    text = score.text + (f" after {steps[0]:,} steps" if steps else "")
+    text = f"{score.text} after {training_steps(line.curves.env):,} steps"
     return {"final": [score.value, *score.interval, text], "crossings": crossings}

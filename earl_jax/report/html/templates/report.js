@@ -54,16 +54,12 @@
   }
 
   function publishedTraces(curve, edge, base) {
-    const traces = [];
-    const { final, crossings } = curve.published;
-    if (final) {
-      const [value, low, high, text] = final;
-      traces.push({
-        ...base, x: [edge], y: [value], mode: "markers", cliponaxis: false,
-        marker: { symbol: "line-ew-open", size: 16, color: base.line.color, line: { width: 3, color: base.line.color } },
-        hovertemplate: `${base.name}, published: ${escaped(text)}<br>95 %: ${low.toPrecision(3)} to ${high.toPrecision(3)}<extra></extra>`,
-      });
-    }
+    const { final: [value, low, high, text], crossings } = curve.published;
+    const traces = [{
+      ...base, x: [edge], y: [value], mode: "markers", cliponaxis: false,
+      marker: { symbol: "line-ew-open", size: 16, color: base.line.color, line: { width: 3, color: base.line.color } },
+      hovertemplate: `${base.name}, published: ${escaped(text)}<br>95 %: ${low.toPrecision(3)} to ${high.toPrecision(3)}<extra></extra>`,
+    }];
     if (crossings.length) {
       traces.push({
         ...base, x: crossings.map((pair) => pair[0]), y: crossings.map((pair) => pair[1]), mode: "markers",
@@ -98,7 +94,7 @@
         publishedTraces(curve, 1.035 * longest, base).forEach((trace, i) => above.push(named(`published${i}`, trace)));
       }
     }
-    const wide = show.published && panel.lines.some((curve) => curve.published && curve.published.final);
+    const wide = show.published && panel.lines.some((curve) => curve.published);
     const layout = baseLayout();
     Object.assign(layout.xaxis, { range: [0, (wide ? 1.06 : 1.01) * longest], tickformat: "~s", title: { text: "steps of a seed" } });
     const highest = Math.max(...panel.lines.flatMap((curve) => curve.plain.mean));
