@@ -27,7 +27,7 @@ def show(folder: Positional[Path], last: int | None = None, window: int | None =
     from earl_jax.training.loading import policies_at
     from earl_jax.training.result import load
 
-    result, chosen = load(folder), Window.of(last, window)
+    result, chosen = load(folder), Window(last, window)
     run, own = result.folder, parts(result, chosen)
     assert run is not None
     values = {
@@ -105,7 +105,7 @@ def evaluate(
     from earl_jax.metrics.scores import Window
     from earl_jax.report.runs import labelled, part_scores, parts
 
-    chosen, run = Window.of(last, window), training.load(folder)
+    chosen, run = Window(last, window), training.load(folder)
     scores, texts, own = {"score": None}, ["no evaluation yet"], parts(run, chosen)
     if len(run.steps):
         scores, texts = {"score": run.score(chosen)._asdict(), **part_scores(own)}, _scores(own)
@@ -168,7 +168,7 @@ def table(
 
     if out:
         require_suffix(out, TABLES, "tables")
-    rows = tabulate(folders, Window.of(last, window), metric, tuple(itertools.chain(*labels)))
+    rows = tabulate(folders, Window(last, window), metric, tuple(itertools.chain(*labels)))
     if out:
         with replacing(out):
             write(rows, out)
@@ -195,7 +195,7 @@ def best(
     from earl_jax.report.best import best as best_runs, best_text
     from earl_jax.report.tables import terminal_width
 
-    rows = best_runs(folders, test, Window.of(last, window), metric)
+    rows = best_runs(folders, test, Window(last, window), metric)
     emit({"rows": rows}, json, best_text(rows, test, top, terminal_width()))
 
 
@@ -222,7 +222,7 @@ def compare(
 
     for path in out:
         require_suffix(path, FILES, "comparisons")
-    rows = compare_runs(folders, against, metric, Window.of(last, window))
+    rows = compare_runs(folders, against, metric, Window(last, window))
     emit({"rows": rows}, json, table_text(rows, terminal_width()))
     for path in out:
         with replacing(path):
@@ -255,7 +255,7 @@ def report(
     from earl_jax.report.html.media import PolicyVideos
     from earl_jax.report.html.writing import watch_page, write_page
 
-    policies, chosen = PolicyVideos(print) if videos else None, Window.of(last, window)
+    policies, chosen = PolicyVideos(print) if videos else None, Window(last, window)
     if watch:
         watch_page(folders, out, every, print, policies=policies, window=chosen)
         return

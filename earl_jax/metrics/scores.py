@@ -5,6 +5,7 @@ Source of the latter: Sharma et al. 2022, section 4.1: deployed and continuing p
 Arguments are NumPy or JAX arrays, inside `jit` and `vmap` too, and results are of the same kind.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,28 +34,23 @@ def as_decimals(values: np.ndarray) -> np.ndarray:
     return values.astype(str).astype(float) if values.dtype.kind == "f" else values
 
 
-class Window(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Window:
     """The evaluations at the end of a run over which a seed is scored: its last tenth, and at least five of them.
 
-    `last` evaluations, or those of the last `steps` steps, take the place of the tenth.
+    `last` evaluations, or those of the last `steps` steps, take the place of the tenth. Both, or one below 1, are a
+    ValueError, which has the names of the arguments `--last` and `--window` of a command.
     """
 
     last: int | None = None
     steps: int | None = None
 
-    @classmethod
-    def of(cls, last: int | None = None, window: int | None = None) -> "Window":
-        """Return the window of the arguments `--last` and `--window` of a command.
-
-        Raises:
-            ValueError: both are given, or one is below 1.
-        """
-        if last is not None and window is not None:
+    def __post_init__(self) -> None:
+        if self.last is not None and self.steps is not None:
             raise InputError("last counts evaluations and window counts steps: give one of them")
-        for name, value in (("last", last), ("window", window)):
+        for name, value in (("last", self.last), ("window", self.steps)):
             if value is not None:
                 require(name, value, COUNT)
-        return cls(last, window)
 
     def count(self, steps: np.ndarray) -> int:
         """Return the number of evaluations that count of those at `steps [E]`, at most E."""
@@ -78,10 +74,9 @@ DEFAULT = Window()
 
 
 def require_window(window: Any) -> None:
-    """Raise an InputError if `window` is not a `Window`, or not one of `Window.of`."""
+    """Raise an InputError if `window` is not a `Window`."""
     if not isinstance(window, Window):
         raise InputError(f"window must be a Window, such as Window(last=5), not {brief(window)}")
-    Window.of(*window)
 
 
 def final_scores(steps: np.ndarray, values: Any, window: Window = DEFAULT) -> Any:

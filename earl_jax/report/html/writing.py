@@ -61,7 +61,7 @@ def write_page(
     script, style = ((TEMPLATES / f"report.{kind}").read_text() for kind in ("js", "css"))
     digests = [hashlib.sha256(text.encode()).digest() for text in (script, plotly)]
     command = ["earl-jax", "report", *map(str, folders), "--out", str(out), *(["--videos"] if policies else [])]
-    command += [f"--{name}={value}" for name, value in zip(("last", "window"), window, strict=True) if value]
+    command += [f"--{name}={value}" for name, value in (("last", window.last), ("window", window.steps)) if value]
     page = environment.get_template("report.html").render(
         content,
         left_out=left_out,
