@@ -11,7 +11,7 @@ from earl_jax.metrics import crossings
 from earl_jax.metrics.comparison import Sample, band, is_rounding, mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
-from earl_jax.metrics.scores import CONTINUING, RATES, SUCCESS, Window
+from earl_jax.metrics.scores import CONTINUING, RATES, SUCCESS, Window, final_scores
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import published_beside, released_beside
 from earl_jax.report.runs import Curves, options_text, spacing
@@ -30,12 +30,10 @@ def seed_scores(curves: Curves, metric: str | None = None) -> np.ndarray:
     Raises:
         ValueError: the run has no such metric, or it has no value at some of these evaluations.
     """
-    # By an index: a slice has another order in memory, and with it another last digit of the mean.
-    scored = np.arange(-curves.window.count(curves.steps), 0)
-    values = curves.metrics[metric or curves.deployed_metric][:, scored]
-    if metric and not np.isfinite(values).all():
+    values = curves.metrics[metric or curves.deployed_metric]
+    if metric and not np.isfinite(values[:, -curves.window.count(curves.steps) :]).all():
         raise InputError(f"{metric} of {curves.label or curves.algo} has no value at some evaluations, so no score")
-    return values.mean(axis=-1)
+    return final_scores(curves.steps, values, curves.window)
 
 
 def require_curve(curves: Curves, metric: str | None) -> None:
