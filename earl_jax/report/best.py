@@ -29,7 +29,7 @@ COLUMNS: tuple[Column, ...] = (
     ("score [95 %]", lambda row: interval_text(*Estimate.of_row(row, "score"))),
     ("best minus this [95 %]", lambda row: interval_text(*Estimate.of_row(row, "difference"))),
     ("adjusted p", lambda row: number_text(row["p_holm"])),
-    ("verdict", lambda row: verdict_text(row)),
+    ("verdict", verdict_text),
 )
 TIED = "tied"
 RULE = (
