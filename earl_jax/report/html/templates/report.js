@@ -40,7 +40,7 @@
   }
 
   function drawn(y, size) {  // a line does not show a point between gaps
-    const missing = (i) => (y[i] ?? null) === null;
+    const missing = (i) => y[i] == null;
     const sizes = y.map((_, i) => (!missing(i) && missing(i - 1) && missing(i + 1) ? size : 0));
     return sizes.some(Boolean) ? { mode: "lines+markers", marker: { size: sizes } } : { mode: "lines" };
   }
@@ -85,7 +85,7 @@
     const below = [], above = [];
     for (const curve of visible) {
       const part = (show.smooth && curve.smooth) || curve.plain;
-      const base = { type: "scatter", uid: `${curve.line}-`, name: escaped(curve.label), line: { color: variable(`--${curve.line}`), dash: curve.dash, width: 2 } };
+      const base = { type: "scatter", name: escaped(curve.label), line: { color: variable(`--${curve.line}`), dash: curve.dash, width: 2 } };
       const named = (kind, trace) => ({ ...trace, uid: `${curve.line}-${kind}` });
       if (show.band && part.low) below.push(named("band", bandTrace(curve.x, part, base)));
       if (show.each) below.push(named("each", seedsTrace(curve.x, part, base)));
