@@ -68,9 +68,9 @@ COLUMNS: tuple[Column, ...] = (
     ("first", lambda row: f"{row['first']}, {counted(row['seeds'], 'seed')}"),
     ("second", lambda row: f"{row['second']}, {counted(row['other_seeds'], 'seed')}"),
     ("steps", lambda row: millions(row["steps"])),
-    ("first, mean [95 %]", lambda row: interval_text(*Estimate.of_row(row, "mean"), "")),
+    ("first, mean [95 %]", lambda row: interval_text(*Estimate.of_row(row, "mean"), ".3g")),
     ("second, mean", lambda row: number_text(row["other_mean"])),
-    ("difference [95 %]", lambda row: interval_text(*Estimate.of_row(row, "difference"), "")),
+    ("difference [95 %]", lambda row: interval_text(*Estimate.of_row(row, "difference"), ".3g")),
     ("p", lambda row: number_text(row["p"])),
     ("adjusted p", lambda row: number_text(row["p_holm"])),
     ("verdict", lambda row: verdict_text(row)),
@@ -223,7 +223,7 @@ def verdict_text(row: Row, number: Callable[[float], str] = number_text, words: 
     return f"{text} (detectable {number(row['detectable'])})"
 
 
-def compared_texts(row: Row, style: str = "", **words: str) -> list[str]:
+def compared_texts(row: Row, style: str = ".3g", **words: str) -> list[str]:
     """Return the difference of a row with its interval, p, adjusted p and `verdict_text`."""
     difference = interval_text(*Estimate.of_row(row, "difference"), style)
     return [difference, number_text(row["p"]), number_text(row["p_holm"]), verdict_text(row, words=words)]

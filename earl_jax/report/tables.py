@@ -227,14 +227,13 @@ def error_text(mean: float | None, error: float | None, style: str) -> str:
     return text if brackets == "-" else f"{text} ({brackets})"
 
 
-def number_text(value: float | None, style: str = "", least: float = -math.inf) -> str:
-    """Return a number in a format, by default with three digits; `-` for None and nan.
+def number_text(value: float | None, style: str = ".3g", least: float = -math.inf) -> str:
+    """Return a number in a format; `-` for None and nan.
 
     In a format of significant digits, thousands have no fraction and no exponent. A number below `least` is `<` and that.
     """
     if value is None or math.isnan(value):
         return "-"
-    style = style or ".3g"
     if style.endswith("g") and abs(value) >= 999.5:
         style = ",.0f"
     return f"<{least:g}" if value < least else format(value, style)
