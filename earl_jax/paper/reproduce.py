@@ -41,16 +41,14 @@ class Scale:
     steps: int | None = None
     eval_every: int = Schedule.eval_every
     eval_episodes: int = Schedule.eval_episodes
-    tasks: int | None = None
-    """Number of a result's tasks to run, the first ones; None for all."""
-    blocks: int | None = None
-    """Number of blocks of runs on a task, the first ones; None for all."""
+    first: int | None = None
+    """Number of a result's tasks, and of blocks of runs on each, to run: the first ones; None for all."""
     options: Options = dataclasses.field(default_factory=dict)
 
 
 SMALL = {"hidden_sizes": [16], "batch_size": 16, "random_steps": 20}
 SCALES = {
-    "smoke": Scale(seeds=2, steps=120, eval_every=40, eval_episodes=2, tasks=1, blocks=1, options=SMALL),
+    "smoke": Scale(seeds=2, steps=120, eval_every=40, eval_episodes=2, first=1, options=SMALL),
     "short": Scale(seeds=3, share=0.1),
     "full": Scale(seeds=5),
 }
@@ -141,7 +139,7 @@ def grid_text(
         if task not in made.tasks:
             raise InputError(f"{name} has no task {task!r}; choose from {', '.join(made.tasks)}")
     chosen = dataclasses.replace(chosen, seeds=seeds or chosen.seeds, steps=steps or chosen.steps)
-    blocks = [block for task in tasks or made.tasks[: chosen.tasks] for block in made.blocks(task)[: chosen.blocks]]
+    blocks = [block for task in tasks or made.tasks[: chosen.first] for block in made.blocks(task)[: chosen.first]]
     return "\n".join(line for block in blocks for line in _block_lines(made, block, chosen, options or {}))
 
 
