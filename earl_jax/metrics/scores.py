@@ -6,16 +6,17 @@ Arguments are NumPy or JAX arrays, inside `jit` and `vmap` too, and results are 
 """
 
 import dataclasses
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from earl_jax.errors import InputError, brief, require_known
-from earl_jax.metrics.comparison import mean_interval
+from earl_jax.metrics.comparison import Sample, band, is_rounding, mean_interval
 from earl_jax.metrics.continuing import DIVERGED, OVER
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD
-from earl_jax.metrics.statistics import namespace_of
+from earl_jax.metrics.statistics import Estimate, namespace_of
 from earl_jax.options.values import COUNT, counted, require
 
 SHARE, FEWEST = 0.1, 5
@@ -85,6 +86,21 @@ def final_scores(steps: np.ndarray, values: Any, window: Window = DEFAULT) -> An
     return values[..., np.arange(-window.count(steps), 0)].mean(axis=-1)
 
 
+def score_interval(scores: np.ndarray, metric: str, deployed: str) -> Estimate:
+    """Return the mean of `scores [N]` of the seeds with its 95 % interval, within [0, 1] if the `metric` is a rate.
+
+    Of curves [N, E] it is the `band`. `deployed` is the task's deployed metric. The reward per step is a rate where the
+    task's rewards are 0 and 1, but a life is no trial: its ends are nan where no seed differs.
+    """
+    if scores.ndim == 1 and metric.startswith("continuing/") and metric not in RATES:
+        sample = Sample.of(scores)
+        if is_rounding(sample.stderr**2, sample.mean):
+            return Estimate(sample.mean, math.nan, math.nan)
+    rewards = metric.startswith("continuing/re") and deployed == SUCCESS
+    rate = metric in RATES or (rewards and bool(((scores >= 0) & (scores <= 1)).all()))
+    return band(scores, rate) if scores.ndim > 1 else mean_interval(scores, rate)
+
+
 class Score(NamedTuple):
     """The score of a run: the mean over seeds of `final_scores [N]` of a `metric`, with its 95 % interval `low` to `high`.
 
@@ -102,8 +118,12 @@ class Score(NamedTuple):
     last: int
 
     @classmethod
-    def of(cls, steps: np.ndarray, metrics: dict[str, np.ndarray], metric: str, window: Window = DEFAULT) -> "Score":
+    def of(
+        cls, steps: np.ndarray, metrics: dict[str, np.ndarray], metric: str, deployed: str, window: Window = DEFAULT
+    ) -> "Score":
         """Return the score by `metric` of a run with the evaluations `steps [E]` and `metrics [N, E]`.
+
+        `deployed` is the task's deployed metric.
 
         Raises:
             ValueError: there is no evaluation, or `window` is no `Window`.
@@ -112,7 +132,7 @@ class Score(NamedTuple):
         if not len(steps):
             raise InputError("there is no evaluation yet, so there is no score")
         scores, count = final_scores(steps, metrics[metric], window), window.count(steps)
-        interval = mean_interval(scores, rate=metric in RATES)
+        interval = score_interval(scores, metric, deployed)
         return cls(metric, *interval, tuple(scores.tolist()), count, int(steps[-count]), int(steps[-1]))
 
     def __str__(self) -> str:

@@ -74,7 +74,7 @@ class Curves(NamedTuple):
 
     def score(self, metric: str | None = None) -> Score:
         """Return the score of the seeds over the evaluations of `window`, by default of the deployed metric."""
-        return Score.of(self.steps, self.metrics, metric or self.deployed_metric, self.window)
+        return Score.of(self.steps, self.metrics, metric or self.deployed_metric, self.deployed_metric, self.window)
 
     def until(self, step: float) -> "Curves":
         """Return the evaluations up to `step`; an InputError if there is none."""

@@ -8,10 +8,10 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.metrics import crossings
-from earl_jax.metrics.comparison import Sample, band, is_rounding, mean_interval
+from earl_jax.metrics.comparison import mean_interval
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, BACK, FORWARD, STILL
-from earl_jax.metrics.scores import CONTINUING, RATES, SUCCESS, Window, final_scores
+from earl_jax.metrics.scores import CONTINUING, SUCCESS, Window, final_scores, score_interval
 from earl_jax.metrics.statistics import Estimate, stderr
 from earl_jax.report.published import published_beside, released_beside
 from earl_jax.report.runs import Curves, options_text, spacing
@@ -60,19 +60,8 @@ def over_same_steps(runs: Sequence[Curves], step: float = math.inf) -> list[Curv
 
 
 def interval_of(curves: Curves, scores: np.ndarray, metric: str | None = None) -> Estimate:
-    """Return the mean of `scores [N]` of the seeds with its 95 % interval, within [0, 1] if the `metric` is a rate.
-
-    Of curves [N, E] it is the `band`. `metric` is by default the deployed one. The reward per step is a rate where the task's
-    rewards are 0 and 1, but a life is no trial: its ends are nan where no seed differs.
-    """
-    metric = metric or curves.deployed_metric
-    if scores.ndim == 1 and metric.startswith("continuing/") and metric not in RATES:
-        sample = Sample.of(scores)
-        if is_rounding(sample.stderr**2, sample.mean):
-            return Estimate(sample.mean, math.nan, math.nan)
-    rewards = metric.startswith("continuing/re") and curves.deployed_metric == SUCCESS
-    rate = metric in RATES or (rewards and bool(((scores >= 0) & (scores <= 1)).all()))
-    return band(scores, rate) if scores.ndim > 1 else mean_interval(scores, rate)
+    """Return the `score_interval` of `scores [N]` or curves [N, E] of a run; `metric` is by default the deployed one."""
+    return score_interval(scores, metric or curves.deployed_metric, curves.deployed_metric)
 
 
 def trailing(curve: np.ndarray, window: int = SMOOTH) -> np.ndarray:

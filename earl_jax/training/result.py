@@ -79,10 +79,10 @@ class Result:
         Raises:
             ValueError: there is no evaluation yet, no such metric, or `window` is no `Window`.
         """
-        name = metric or self.config.deployed_metric
+        deployed = self.config.deployed_metric
         if self.metrics:
-            require_known("metric", name, self.metrics)
-        return Score.of(self.steps, self.metrics, name, window)
+            require_known("metric", metric or deployed, self.metrics)
+        return Score.of(self.steps, self.metrics, metric or deployed, deployed, window)
 
     @property
     def scores(self) -> Scores:

@@ -56,13 +56,23 @@ def test_a_seed_is_scored_over_the_last_tenth_and_over_five_evaluations_at_least
 
 def test_a_score_says_what_it_is_a_mean_of():
     curves = {"deployed/success": np.tile([[0.2], [0.4], [0.6]], 60)}
-    score = Score.of(MILLION[:60], curves, "deployed/success")
+    score = Score.of(MILLION[:60], curves, "deployed/success", "deployed/success")
     text = "deployed/success 0.400 [0.098, 0.803], mean of 3 seeds over 6 evaluations, steps 550,000 to 600,000"
     assert str(score) == text
-    last = Score.of(MILLION[:60], {"x": np.array([[3.0] * 60])}, "x", Window(last=1))
+    last = Score.of(MILLION[:60], {"x": np.array([[3.0] * 60])}, "x", "x", Window(last=1))
     assert str(last) == "x 3.000, mean of 1 seed over the evaluation at step 600,000"
     with pytest.raises(ValueError, match="no evaluation yet"):
-        Score.of(MILLION[:0], {"x": np.empty((1, 0))}, "x")
+        Score.of(MILLION[:0], {"x": np.empty((1, 0))}, "x", "x")
+
+
+def test_a_reward_per_step_has_the_interval_of_a_rate_only_where_rewards_are_0_and_1_and_seeds_differ():
+    rewards = {"continuing/reward": np.tile([[0.0], [0.1], [0.5]], 5)}
+    steps, metric = MILLION[:5], "continuing/reward"
+    sparse, dense = (Score.of(steps, rewards, metric, f"deployed/{kind}") for kind in ("success", "return"))
+    assert sparse.low > 0 > dense.low
+    equal = Score.of(steps, {metric: np.full((3, 5), 0.1)}, metric, "deployed/success")
+    assert equal.mean == pytest.approx(0.1)
+    assert math.isnan(equal.low)
 
 
 def test_a_window_counts_evaluations_or_steps():
@@ -73,7 +83,7 @@ def test_a_window_counts_evaluations_or_steps():
     with pytest.raises(ValueError, match="window must be a whole number"):
         Window(steps=1.5)
     with pytest.raises(InputError, match=r"must be a Window, such as Window\(last=5\), not 'x'"):
-        Score.of(STEPS, {"x": SCORES}, "x", "x")
+        Score.of(STEPS, {"x": SCORES}, "x", "x", "x")
 
 
 def test_regret_is_the_sum_of_gaps_to_the_optimum():
