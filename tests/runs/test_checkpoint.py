@@ -195,7 +195,7 @@ DAMAGE = {
     "renamed": (lambda path: path.rename(path.with_name("000000120")), "it is of step 80"),
     "no step": (arrays("lanes", step=None), "'step'"),
     "a step of text": (arrays("lanes", step=np.array("80x")), "80x"),
-    "a pickle": (arrays("lanes", step=np.array([object()])), "step.npy has another size"),
+    "a pickle": (arrays("lanes", step=np.array([object()])), "Object arrays cannot be loaded when allow_pickle=False"),
     "compressed": (arrays("replay", write=np.savez_compressed), "its arrays are compressed"),
     "bzip2": (stated(None, zipfile.ZIP_BZIP2), "its arrays are compressed"),
     "no rows": (arrays("replay", state=None), "its replay has other arrays"),
@@ -206,6 +206,7 @@ DAMAGE = {
     "a row that is not there": (arrays("replay", mine=np.full((3, 2), 10**6, np.int32)), "mine has numbers that are"),
     "a negative count": (arrays("replay", counts=np.full((2, 2), -1, np.int32)), "counts has numbers that are"),
     "more bytes than its shape": (stated(40), "state.npy has another size than its array"),
+    "fewer bytes than its shape": (stated(100_000), "EOF: reading array data"),
     "a list of 1 GiB": (file("lanes", long_list), "its arrays are larger"),
 }
 """Damage to a checkpoint, and what the warning says."""
