@@ -177,7 +177,7 @@ class RunFolder:
         self.config.warn_of_changes(self.path)
         step = newest(self.checkpoints)
         table = self._table(step)
-        missing = sorted(COLUMNS.difference(table.columns))
+        missing = sorted(COLUMNS.difference(table.metrics))
         if missing and table.step and step:
             problem = f"it has no column {', '.join(missing)}; restore the file from a copy"
             raise InputError(f"{self.metrics} is damaged: {problem}")

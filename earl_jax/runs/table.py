@@ -33,12 +33,11 @@ BLOCK = 4096
 class Table:
     """A table of metrics as far as it is intact.
 
-    `columns` are the names in its header. `steps [E]` and `metrics` of arrays [N, E] are those of the whole evaluations
-    before the first error, which `problem` describes; it is empty if there is none. The last evaluation is no error if a
-    kill truncated it. Without an evaluation there are no metrics.
+    `steps [E]` and `metrics` of arrays [N, E] are those of the whole evaluations before the first error, which `problem`
+    describes; it is empty if there is none. The last evaluation is no error if a kill truncated it. Without an evaluation
+    there are no metrics.
     """
 
-    columns: tuple[str, ...] = ()
     steps: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, int))
     metrics: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
     problem: str = ""
@@ -67,7 +66,7 @@ class Table:
     def read(cls, path: Path, config: RunConfig) -> "Table":
         """Return the table at `path`, which is empty if there is no file."""
         lines, seeds = whole_lines(path), len(config.seeds)
-        columns = tuple(_cells(next(lines, "")))
+        columns = _cells(next(lines, ""))
         if not set(columns) >= set(KEYS) or len(set(columns)) < len(columns):
             return cls(problem="line 1 is not the header" if columns else "")
         blocks, count, problem = [np.empty((0, len(columns)))], 0, ""
@@ -77,11 +76,11 @@ class Table:
             count += len(rows)
         problem = problem and f"line {count + 2} {problem}"
         if count < seeds:
-            return cls(columns, problem=problem)
+            return cls(problem=problem)
         values = np.concatenate(blocks)[: count - count % seeds].reshape(-1, seeds, len(columns))
         metrics = dict(zip(columns, np.ascontiguousarray(values.transpose(2, 1, 0)), strict=True))
         steps, _ = (metrics.pop(name) for name in KEYS)
-        return cls(columns, steps[0].astype(int), metrics, problem)
+        return cls(steps[0].astype(int), metrics, problem)
 
 
 def lines_of(path: Path) -> Iterator[str]:
