@@ -35,15 +35,13 @@ FIELDS = tuple(field.name for field in dataclasses.fields(Schedule))
 
 
 def require_whole_windows(steps: int, eval_every: int) -> None:
-    """Raise an InputError unless training ends with an evaluation: `steps` is a positive multiple of `eval_every`."""
-    if steps > 0 and steps % eval_every == 0:
+    """Raise an InputError unless training ends with an evaluation: `steps`, a count, is a multiple of `eval_every`."""
+    if steps % eval_every == 0:
         return
-    problem = f"steps {steps} is not a multiple of eval_every {eval_every}"
-    if steps < 1:
-        raise InputError(problem)
     small = [number for number in range(1, math.isqrt(steps) + 1) if steps % number == 0]
     divisors = sorted({*small, *(steps // number for number in small)})
     place, shorter = bisect.bisect(divisors, eval_every), steps // eval_every * eval_every
     every = " or ".join(map(str, divisors[place - 1 : place + 1]))
     lengths = " or ".join(str(length) for length in (shorter, shorter + eval_every) if length)
+    problem = f"steps {steps} is not a multiple of eval_every {eval_every}"
     raise InputError(f"{problem}; take eval_every {every}, or steps {lengths}")
