@@ -138,7 +138,8 @@ class RunConfig:
     def values(self) -> dict[str, Any]:
         """The fields that tell runs apart, as config.json has them."""
         fields = dataclasses.asdict(self).items()
-        return json.loads(json.dumps({name: value for name, value in fields if name not in RECORDS}))
+        known = {name: value for name, value in fields if name not in RECORDS}
+        return json.loads(json.dumps(known, default=repr))  # a run without a folder can have options that JSON lacks
 
     def build_setting(self) -> Setting:
         """Return the setting with its options."""

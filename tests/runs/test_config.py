@@ -2,9 +2,11 @@
 
 import dataclasses
 import json
+from fractions import Fraction
 
 import numpy as np
 import pytest
+from flax import struct
 
 import earl_jax
 from earl_jax.algos.naive import Naive
@@ -13,6 +15,7 @@ from earl_jax.errors import InputError
 from earl_jax.protocol import Continuing, Deployment, Protocol, Setting
 from earl_jax.runs.config import RunConfig
 from tests.conftest import make_config, tiny_method
+from tests.envs.chain import Chain
 
 
 def through_json(config):
@@ -67,3 +70,16 @@ def test_a_class_that_its_name_does_not_build_is_recorded_and_required(env):
     assert config.algo_class == f"{__name__}:{Impostor.__qualname__}"
     with pytest.raises(ValueError, match=r"call earl_jax\.register_algo\('naive', Impostor\)"):
         config.build_method()
+
+
+@pytest.mark.usefixtures("no_training")
+def test_an_option_that_json_lacks_can_be_trained_without_a_folder_only(tmp_path):
+    class Odd(Naive):
+        share: Fraction = struct.field(pytree_node=False, default=Fraction(1))
+
+    method = Odd(share=Fraction(1, 2))
+    with pytest.raises(AssertionError, match="training started"):
+        earl_jax.train(Chain(), method, steps=2000)
+    with pytest.raises(InputError, match=r"written to config\.json \(.* Fraction .*\); train without a folder"):
+        earl_jax.train(Chain(), method, steps=2000, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
