@@ -98,7 +98,7 @@ def catalog() -> dict[str, Any]:
 
     described: dict[str, Any] = {"shared": _options(Learner)}
     for kind, registry in REGISTRIES.items():
-        for name in names()[kind]:
+        for name in registry.names():
             target, package = registry.locate(name)
             if package == "earl_jax" and isinstance(target, EntryPoint):
                 described[target.value] = DESCRIBE[kind](name)
