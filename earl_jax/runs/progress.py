@@ -65,7 +65,7 @@ class Progress:
     def start_at(self, step: int) -> None:
         """Show that `step` steps are complete already."""
         self._done = step
-        self._bar.reset(self._task, start=True, total=self._steps, completed=step)
+        self._bar.reset(self._task, completed=step)
 
     @contextlib.contextmanager
     def working(self, work: str) -> Iterator[None]:
