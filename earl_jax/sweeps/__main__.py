@@ -4,17 +4,20 @@ The task is one line of JSON. Without a file it comes from stdin, a pipe that th
 the worker ends with it.
 """
 
+import gc
 import json
 import os
 import sys
 import threading
 import warnings
 from pathlib import Path
+from typing import Any
 
-from earl_jax.options.environment import start_failure
+from earl_jax.options import imports
+from earl_jax.options.values import TimeLimit
 from earl_jax.runs.files import format_warning
 from earl_jax.runs.streams import lasting_streams
-from earl_jax.sweeps.processes import report
+from earl_jax.sweeps.processes import cause_of, report
 
 
 def main() -> int:
@@ -30,17 +33,50 @@ def main() -> int:
     warnings.formatwarning = format_warning
     with lasting_streams():
         try:
-            from earl_jax.sweeps import worker  # it imports jax, which takes seconds
-
-            return int(worker.serve(task) > 0)
+            return int(serve(task) > 0)
         except KeyboardInterrupt as interrupt:  # a Stopped, which knows its exit code, or a signal before training
             print(str(interrupt) or "interrupted", file=sys.stderr)
             return getattr(interrupt, "exit_code", 130)
-        except Exception as error:
-            if not (cause := start_failure(error)):
-                raise
+
+
+def serve(task: dict[str, Any]) -> int:
+    """Plan the `grid` of `task`, or train its `runs`; report the plan or every event, and return the number of failures.
+
+    Both have the folder `out`, and `imports`, the files that the process runs first, if they have not changed. A grid has
+    `max_lanes` and the `logs` of its runs; runs can have the other arguments of `work` by name.
+    """
+    gc.set_threshold(100_000, 50, 50)  # as on the command line
+    failed: list[str] = []
+
+    def emit(name: str, state: str, detail: str) -> None:
+        if state == "failed":
+            failed.append(name)
+        report(run=name, state=state, detail=detail)
+
+    try:
+        from earl_jax.runs.config import RunConfig  # jax, which takes seconds, is imported here
+        from earl_jax.runs.logging import check_logs
+        from earl_jax.sweeps import worker
+
+        for record in task.get("imports", ()):
+            imports.note(**record)
+        imports.run_noted()
+        if "grid" in task:
+            check_logs(task.get("logs", ()))
+            report(state="planned", plan=worker.plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"]))
+            return 0
+        configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
+    except Exception as error:
+        cause = cause_of(error)
+        if "grid" in task:
             report(state="refused", detail=cause)
-            return 2
+        for name in task.get("runs", ()):
+            emit(name, "failed", cause)
+        return len(failed)
+    options = {name: task[name] for name in ("progress", "devices", "logs") if name in task}
+    limit = TimeLimit(*task["limit"]) if task.get("limit") else None
+    worker.work(Path(task["out"]), configs, emit, limit=limit, **options)
+    return len(failed)
 
 
 def end_with_pipe(descriptor: int) -> None:

@@ -9,10 +9,12 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from earl_jax.options.environment import PYTHON, module_path
+from earl_jax.errors import InputError, is_input_error
+from earl_jax.options.environment import PYTHON, module_path, start_failure
 from earl_jax.sweeps.slots import Slot
 
 WORKER = [*PYTHON, "-m", "earl_jax.sweeps"]
@@ -21,7 +23,7 @@ ENDS = ("done", "failed", "stopped")
 PATIENCE = 10
 """Seconds from SIGTERM to SIGKILL. Under MPS, SIGKILL of one program can end all others on its GPU."""
 Task = dict[str, Any]
-"""What a worker reads: a `grid` to plan, or the configs of `runs` to train, as `worker.serve` takes them."""
+"""What a worker reads: a `grid` to plan, or the configs of `runs` to train, as `__main__.serve` takes them."""
 Event = dict[str, Any]
 """What a worker prints: the `state` of a `run` with a `detail`, the step or why it failed; or the `plan` of a grid."""
 MARK = "\x1e"
@@ -31,6 +33,17 @@ MARK = "\x1e"
 def report(**event: Any) -> None:
     """Print `event`, in the process of a worker, in one write, between whose parts no other thread can print."""
     print(f"{MARK}{json.dumps(event)}\n", end="", flush=True)
+
+
+def cause_of(error: Exception) -> str:
+    """Return `error` as one line, after printing its traceback if it is more than invalid input or settings of jax."""
+    if isinstance(error, InputError):
+        return str(error)
+    if not is_input_error(error):
+        if cause := start_failure(error):
+            return cause
+        traceback.print_exception(error)
+    return f"{type(error).__name__}: {error}".splitlines()[0]
 
 
 def start(task: Task, slot: Slot) -> subprocess.Popen[str]:

@@ -2,17 +2,14 @@
 
 import contextlib
 import dataclasses
-import gc
-import traceback
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from earl_jax.algos import method_for
 from earl_jax.envs import resolved_engine
-from earl_jax.errors import InputError, is_input_error
+from earl_jax.errors import InputError
 from earl_jax.options import imports
-from earl_jax.options.environment import start_failure
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import TimeLimit, counted
 from earl_jax.runs.checkpoint import newest
@@ -23,7 +20,7 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.logging import check_logs
 from earl_jax.runs.policies import policies_step
 from earl_jax.sweeps import grid
-from earl_jax.sweeps.processes import report
+from earl_jax.sweeps.processes import cause_of
 from earl_jax.training import memory, split_options
 from earl_jax.training.api import require_checkpoint
 from earl_jax.training.init import demo_rows
@@ -186,7 +183,7 @@ def work(
                 stack.enter_context(run.folder.claimed())
                 planned.append(PlannedRun(name=name, run=run, step=newest(run.folder.checkpoints)))
             except Exception as error:
-                emit(name, "failed", _cause(error))
+                emit(name, "failed", cause_of(error))
         for entry in planned:
             if entry.finished:
                 emit(entry.name, "done", "")
@@ -209,53 +206,6 @@ def _train_group(
         step = int(Program(runs, devices).run(progress, limit).step)
         state, detail = ("done", "") if step == runs[0].config.steps else ("stopped", f"at step {step}")
     except Exception as error:
-        state, detail = "failed", _cause(error)
+        state, detail = "failed", cause_of(error)
     for entry in group:
         emit(entry.name, state, detail)
-
-
-def _cause(error: Exception) -> str:
-    """Return `error` as one line, after printing its traceback if it is more than invalid input or settings of jax."""
-    if isinstance(error, InputError):
-        return str(error)
-    if not is_input_error(error):
-        if cause := start_failure(error):
-            return cause
-        traceback.print_exception(error)
-    return f"{type(error).__name__}: {error}".splitlines()[0]
-
-
-def serve(task: dict[str, Any]) -> int:
-    """Plan the `grid` of `task`, or train its `runs`; report the plan or every event, and return the number of failures.
-
-    Both have the folder `out`, and `imports`, the files that the process runs first, if they have not changed. A grid has
-    `max_lanes` and the `logs` of its runs; runs can have the other arguments of `work` by name.
-    """
-    gc.set_threshold(100_000, 50, 50)  # as on the command line
-    failed: list[str] = []
-
-    def emit(name: str, state: str, detail: str) -> None:
-        if state == "failed":
-            failed.append(name)
-        report(run=name, state=state, detail=detail)
-
-    try:
-        for record in task.get("imports", ()):
-            imports.note(**record)
-        imports.run_noted()
-        if "grid" in task:
-            check_logs(task.get("logs", ()))
-            report(state="planned", plan=plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"]))
-            return 0
-        configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
-    except Exception as error:
-        cause = _cause(error)
-        if "grid" in task:
-            report(state="refused", detail=cause)
-        for name in task.get("runs", ()):
-            emit(name, "failed", cause)
-        return len(failed)
-    options = {name: task[name] for name in ("progress", "devices", "logs") if name in task}
-    limit = TimeLimit(*task["limit"]) if task.get("limit") else None
-    work(Path(task["out"]), configs, emit, limit=limit, **options)
-    return len(failed)

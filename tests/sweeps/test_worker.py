@@ -78,7 +78,7 @@ def test_runs_logs_and_folders_that_are_invalid_are_refused_in_one_line(tmp_path
         task |= change
     else:
         grid.write_text(GRID.replace(*change))
-    worker.serve(task)
+    process.serve(task)
     printed = capsys.readouterr()
     event = json.loads(printed.out.strip(MARK))
     assert event["state"] == "refused"
@@ -218,7 +218,7 @@ def test_all_runs_of_a_sweep_are_of_one_text(tmp_path, grid, capsys, registries)
     task = {"out": plan["out"], "imports": plan["imports"], "runs": plan["groups"][0]["runs"]}
     assert {tuple(config["imports"][0].items()) for config in task["runs"].values()} == {tuple(record.items())}
     mine.write_text(f"{MINE}# edited\n")
-    assert worker.serve(task) == 2
+    assert process.serve(task) == 2
     events = [json.loads(text) for text in capsys.readouterr().out.split(MARK)[1:]]
     assert {event["state"] for event in events} == {"failed"}
     detail = events[0]["detail"]
@@ -234,7 +234,7 @@ def test_a_run_whose_folder_cannot_be_used_fails_with_its_cause(tmp_path, grid, 
     with folder.claimed() if "in use" in message else contextlib.nullcontext():
         if "damaged" in message:
             folder.config_file.write_text("{}")
-        assert worker.serve({"out": str(tmp_path), "runs": {NAMES[0]: fields}}) == 1
+        assert process.serve({"out": str(tmp_path), "runs": {NAMES[0]: fields}}) == 1
     event = json.loads(capsys.readouterr().out.strip(MARK))
     assert (event["run"], event["state"]) == (NAMES[0], "failed")
     assert message in event["detail"]
@@ -258,9 +258,17 @@ def test_a_worker_of_an_array_takes_a_line_of_a_file_and_fails_with_its_runs(tmp
     runs = [{"runs": {name: {"env": "cheetah", "seeds": []}}} for name in "ab"]
     (tmp_path / "tasks").write_text("".join(f"{json.dumps({'out': str(tmp_path), **task})}\n" for task in runs))
     monkeypatch.setattr(sys, "argv", ["worker", str(tmp_path / "tasks"), "1"])
-    monkeypatch.setattr(worker, "RunConfig", lambda **fields: None)
+    monkeypatch.setattr("earl_jax.runs.config.RunConfig", lambda **fields: None)
     assert process.main() == 1
     assert json.loads(capsys.readouterr().out.strip(MARK))["run"] == "b"
+
+
+def test_a_worker_that_cannot_be_loaded_reports_it_for_each_run(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "earl_jax.runs.config", None)
+    assert process.serve({"out": "", "runs": {"a": {}, "b": {}}}) == 2
+    events = [json.loads(text) for text in capsys.readouterr().out.split(MARK)[1:]]
+    assert [(event["run"], event["state"]) for event in events] == [("a", "failed"), ("b", "failed")]
+    assert {event["detail"].partition(": import of ")[0] for event in events} == {"ModuleNotFoundError"}
 
 
 BUSY = """
