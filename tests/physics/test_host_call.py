@@ -29,14 +29,14 @@ def double_service():
 
 
 def start_and_finish(name, row):
-    return service.finish(name, service.start(name, row), 2)
+    return service.finish(name, service.start(name, row))
 
 
 def test_jobs_in_progress_may_be_finished_in_any_order(double_service):
     def run(row):
         first, second = service.start(double_service, row), service.start(double_service, row + 1.0)
-        second_answer = service.finish(double_service, second, 2)
-        return service.finish(double_service, first, 2), second_answer
+        second_answer = service.finish(double_service, second)
+        return service.finish(double_service, first), second_answer
 
     first_answer, second_answer = jax.jit(jax.vmap(run))(ROWS)
     np.testing.assert_array_equal(first_answer, 2 * ROWS[:, :2])
@@ -45,9 +45,9 @@ def test_jobs_in_progress_may_be_finished_in_any_order(double_service):
 
 def test_other_work_of_the_same_name_leaves_earlier_programs_as_they_are(double_service):
     """The program of a simulator ran the physics of a class that a notebook had defined again since."""
-    program = jax.jit(jax.vmap(functools.partial(service.step, double_service, width=2)))
+    program = jax.jit(jax.vmap(functools.partial(service.step, double_service)))
     expected, other = program(ROWS), service.register(double_service, lambda rows: -rows[:, :2], 2)
-    np.testing.assert_array_equal(jax.vmap(functools.partial(service.step, other, width=2))(ROWS), -ROWS[:, :2])
+    np.testing.assert_array_equal(jax.vmap(functools.partial(service.step, other))(ROWS), -ROWS[:, :2])
     np.testing.assert_array_equal(program(ROWS), expected)
 
 
@@ -55,7 +55,7 @@ def test_rows_of_other_types_reach_the_host_as_float32(double_service):
     for dtype in (np.float64, np.int32, np.float16):
         with jax.enable_x64(True):
             row = jnp.asarray(ROWS[1], dtype)
-            answers = service.step(double_service, row, 2), start_and_finish(double_service, row)
+            answers = service.step(double_service, row), start_and_finish(double_service, row)
         for answer in answers:
             np.testing.assert_array_equal(answer, 2 * ROWS[1, :2], strict=True)
 
@@ -63,7 +63,7 @@ def test_rows_of_other_types_reach_the_host_as_float32(double_service):
 def test_an_error_on_the_host_is_raised_by_the_program():
     service.register("test.refuse", refuse, 2)
     with pytest.raises(HOST_ERRORS, match="ValueError: no such state"):
-        jax.block_until_ready(jax.jit(lambda row: service.step("test.refuse", row, 2))(ROWS))
+        jax.block_until_ready(jax.jit(lambda row: service.step("test.refuse", row))(ROWS))
     with pytest.raises(HOST_ERRORS, match="no such state"):
         jax.block_until_ready(jax.jit(lambda row: start_and_finish("test.refuse", row))(ROWS[0]))
 
@@ -118,7 +118,7 @@ print(*[warning.message for warning in caught if warning.category is RuntimeWarn
 np.savez(sys.argv[1], *map(to_numpy, jax.tree.leaves((result.metrics, result.train_state))))
 
 mesh, lanes = jax.make_mesh((2,), ("lanes",), axis_types=(AxisType.Auto,)), PartitionSpec("lanes")
-increase = jax.vmap(partial(service.step, "test.increase", width=101))
+increase = jax.vmap(partial(service.step, "test.increase"))
 ten_times = lambda rows: jax.lax.scan(lambda rows, _: (increase(rows), None), rows, length=10)[0]
 run = jax.shard_map(ten_times, mesh=mesh, in_specs=lanes, out_specs=lanes, check_vma=False)
 assert (np.asarray(jax.jit(run)(np.zeros((2000, 101), np.float32))) == 10).all()

@@ -34,15 +34,14 @@ def start_step(simulator: "Simulator", state: PhysicsState, command: jax.Array) 
     """Return the pending control step of one lane: a ticket if the host works beside a GPU, else the row itself."""
     row = jnp.concatenate([jnp.ravel(getattr(state, field)) for field in CHANGED + CONSTANT] + [command])
     if _host_runs_beside_device():
-        return PendingStep((), service.start(_register_host(simulator, state)[0], row))
+        return PendingStep((), service.start(_register_host(simulator, state), row))
     return PendingStep(row)
 
 
 def finish_step(simulator: "Simulator", state: PhysicsState, pending: PendingStep) -> tuple[PhysicsState, jax.Array]:
     """Return the result of the step that `start_step` started from `state`, as `Simulator.step` does."""
-    name, width = _register_host(simulator, state)
-    ticket = pending.ticket
-    after = service.step(name, pending.payload, width) if ticket is None else service.finish(name, ticket, width)
+    name, ticket = _register_host(simulator, state), pending.ticket
+    after = service.step(name, pending.payload) if ticket is None else service.finish(name, ticket)
     time, *rest, sensors = jnp.split(after, _field_ends(state))
     return state.replace(time=time[0], **dict(zip(CHANGED[1:], rest, strict=True))), sensors
 
@@ -56,15 +55,15 @@ def _field_ends(state: PhysicsState) -> np.ndarray:
     return np.cumsum([getattr(state, field).size for field in CHANGED])
 
 
-def _register_host(simulator: "Simulator", state: PhysicsState) -> tuple[str, int]:
-    """Register this simulator's host with XLA; return its name and its output width.
+def _register_host(simulator: "Simulator", state: PhysicsState) -> str:
+    """Register this simulator's host with XLA and return its name.
 
     Every process takes the same name, unless it has simulators that differ and have the same text.
     """
     serve = host_of(simulator, state.memory.size)
     width = int(_field_ends(state)[-1]) + simulator.mujoco_model().nsensordata
     digest = hashlib.blake2b(repr((simulator, state.memory.size)).encode(), digest_size=8).hexdigest()
-    return service.register(f"earl_jax.{simulator.model}.{digest}", serve, width), width
+    return service.register(f"earl_jax.{simulator.model}.{digest}", serve, width)
 
 
 class Simulations:

@@ -24,7 +24,6 @@ from earl_jax.physics.host_call.cuda import Stream, driver
 from earl_jax.physics.host_call.workers import Serve, Workers
 from earl_jax.physics.host_call.xla_ffi import Frame, handler, rows_of
 
-TICKET = jax.ShapeDtypeStruct((1,), jnp.int32)
 _SERVICES: dict[str, "Service"] = {}
 _HANDLERS: dict[tuple[str, str], Any] = {}
 """The handlers that XLA calls; they must outlive every program."""
@@ -35,6 +34,7 @@ class Service:
 
     def __init__(self, serve: Serve, width: int):
         self.serve, self.width = serve, width
+        self.answer = jax.ShapeDtypeStruct((width,), jnp.float32)
         self.numbers, self.answers = itertools.count(1), dict[int, np.ndarray]()
         self.streams: dict[int, Stream] = {}
 
@@ -116,25 +116,25 @@ def _register_target(target: str, platform: str, work: Callable[[Frame], None]) 
     jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(_HANDLERS[target, platform]), platform=platform)
 
 
-def step(name: str, row: jax.Array, width: int) -> jax.Array:
+def step(name: str, row: jax.Array) -> jax.Array:
     """Return the answer [width] of service `name` to one lane's `row [k]`, read as float32; vmap makes a single call.
 
     The foreign function has this target on a CPU only; the callback works on all platforms.
     """
-    row = row.astype(jnp.float32)
+    row, service = row.astype(jnp.float32), _SERVICES[name]
     if not is_foreign():
-        return callback.step(_SERVICES[name].serve, row, width)
-    return _call(f"{name}.step", row, jax.ShapeDtypeStruct((width,), jnp.float32))
+        return callback.step(service.serve, row, service.width)
+    return _call(f"{name}.step", row, service.answer)
 
 
 def start(name: str, row: jax.Array) -> jax.Array:
     """Start the work on one lane's `row [k]`, read as float32, and return its ticket [1]; only if `is_foreign()`."""
-    return _call(f"{name}.start", row.astype(jnp.float32), TICKET)
+    return _call(f"{name}.start", row.astype(jnp.float32), jax.ShapeDtypeStruct((1,), jnp.int32))
 
 
-def finish(name: str, ticket: jax.Array, width: int) -> jax.Array:
+def finish(name: str, ticket: jax.Array) -> jax.Array:
     """Return the answer [width] to the row that `ticket` identifies."""
-    return _call(f"{name}.finish", ticket, jax.ShapeDtypeStruct((width,), jnp.float32))
+    return _call(f"{name}.finish", ticket, _SERVICES[name].answer)
 
 
 def _call(target: str, operand: jax.Array, answer: jax.ShapeDtypeStruct) -> jax.Array:
