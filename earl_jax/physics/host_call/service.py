@@ -22,7 +22,7 @@ from earl_jax.options.environment import core_count
 from earl_jax.physics.host_call import callback
 from earl_jax.physics.host_call.cuda import Stream, driver
 from earl_jax.physics.host_call.workers import Serve, Workers
-from earl_jax.physics.host_call.xla_ffi import Frame, handler, rows_of
+from earl_jax.physics.host_call.xla_ffi import Buffer, Frame, handler, rows_of
 
 _SERVICES: dict[str, "Service"] = {}
 _HANDLERS: dict[tuple[str, str], Any] = {}
@@ -38,21 +38,18 @@ class Service:
         self.numbers, self.answers = itertools.count(1), dict[int, np.ndarray]()
         self.streams: dict[int, Stream] = {}
 
-    def step(self, frame: Frame) -> None:
+    def step(self, rows: Buffer, answer: Buffer) -> None:
         """Write the answer at once, on a CPU."""
-        rows, answer = frame.transfer
         rows_of(answer)[:] = self.serve(rows_of(rows))
 
-    def start(self, frame: Frame) -> None:
+    def start(self, rows: Buffer, tickets: Buffer) -> None:
         """Do the work and store the answer, on a CPU, where two calls save no time."""
-        rows, tickets = frame.transfer
         number = next(self.numbers) & 0x7FFFFFFF
         self.answers[number] = self.serve(rows_of(rows))
         tickets.elements(c_int32)[:] = number
 
-    def finish(self, frame: Frame) -> None:
+    def finish(self, tickets: Buffer, answer: Buffer) -> None:
         """Write the answer that is stored for the tickets, on a CPU."""
-        tickets, answer = frame.transfer
         rows_of(answer)[:] = self.answers.pop(int(tickets.elements(c_int32)[0]))
 
     def stream_of(self, frame: Frame) -> Stream:
@@ -96,18 +93,13 @@ def register(name: str, serve: Serve, width: int) -> str:
         name += "_"
     if name in _SERVICES:
         return name
-    _SERVICES[name] = Service(serve, width)
-    if not is_foreign():
-        return name
-    targets = {
-        ("step", "cpu"): Service.step,
-        ("start", "cpu"): Service.start,
-        ("finish", "cpu"): Service.finish,
-        ("start", "CUDA"): lambda service, frame: service.stream_of(frame).start(*frame.transfer),
-        ("finish", "CUDA"): lambda service, frame: service.stream_of(frame).finish(*frame.transfer),
-    }
-    for (part, platform), work in targets.items():
-        _register_target(f"{name}.{part}", platform, lambda frame, work=work: work(_SERVICES[name], frame))
+    service = _SERVICES[name] = Service(serve, width)
+    if is_foreign():
+        _register_target(f"{name}.step", "cpu", lambda frame: service.step(*frame.transfer))
+        _register_target(f"{name}.start", "cpu", lambda frame: service.start(*frame.transfer))
+        _register_target(f"{name}.finish", "cpu", lambda frame: service.finish(*frame.transfer))
+        _register_target(f"{name}.start", "CUDA", lambda frame: service.stream_of(frame).start(*frame.transfer))
+        _register_target(f"{name}.finish", "CUDA", lambda frame: service.stream_of(frame).finish(*frame.transfer))
     return name
 
 
