@@ -56,25 +56,23 @@ class Scene(contextlib.AbstractContextManager):
         if camera is not None:
             require_known("camera", camera, known)
         self.camera = camera or ("default" if "default" in known else -1)
-        self._state = mujoco.MjData(self.model), _options(mujoco, STATE_GROUPS)
-        self._goal = mujoco.MjData(self.model), _options(mujoco, GOAL_GROUPS)
+        self._data = mujoco.MjData(self.model)
+        self._of_state, self._of_goal = (_options(mujoco, groups) for groups in (STATE_GROUPS, GOAL_GROUPS))
         self._renderer = _renderer(mujoco, self.model, size)
 
     def image(self, state: State) -> np.ndarray:
         """Return the picture of one unbatched `state`, uint8 [h, w, 3]."""
-        kinds, scene = self._mujoco.mjtCatBit, self._renderer.scene
-        data, options = self._state
+        mujoco, data, scene = self._mujoco, self._data, self._renderer.scene
         self._place(data, self._view.render_state(state))
-        self._renderer.update_scene(data, self.camera, options)
+        self._renderer.update_scene(data, self.camera, self._of_state)
         first_marker = scene.ngeom
         goal = self._view.render_goal(state) if self.goal else None
         if goal is not None:
-            data, options = self._goal
             self._place(data, goal)
-            self._mujoco.mjv_addGeoms(self.model, data, options, self._mujoco.MjvPerturb(), kinds.mjCAT_ALL, scene)
+            mujoco.mjv_addGeoms(self.model, data, self._of_goal, mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_ALL, scene)
         for number, geom in enumerate(scene.geoms[: scene.ngeom]):  # planes and markers cast no shadow
-            if number >= first_marker or geom.type == self._mujoco.mjtGeom.mjGEOM_PLANE:
-                geom.category = kinds.mjCAT_DECOR
+            if number >= first_marker or geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+                geom.category = mujoco.mjtCatBit.mjCAT_DECOR
         return self._renderer.render()
 
     def _place(self, data: Any, state: Any) -> None:
