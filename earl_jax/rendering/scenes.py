@@ -52,7 +52,7 @@ class Scene(contextlib.AbstractContextManager):
         self.goal = goal
         self._view = view_of(env)
         self.model = _drawn_model(env)
-        known = _camera_names(self.model)
+        known = cameras(env)
         if camera is not None:
             require_known("camera", camera, known)
         self.camera = camera or ("default" if "default" in known else -1)
@@ -89,7 +89,8 @@ class Scene(contextlib.AbstractContextManager):
 
 def cameras(env: Env) -> list[str]:
     """Return the names of the cameras on `env`."""
-    return _camera_names(_drawn_model(env))
+    model = _drawn_model(env)
+    return [model.camera(number).name for number in range(model.ncam)]
 
 
 def view_of(env: Env) -> View:
@@ -110,10 +111,6 @@ def _drawn_model(env: Env) -> Any:
         return with_overlay(view.model)
     except ValueError as error:
         raise InputError(f"{env.name} cannot be drawn: {error}") from error
-
-
-def _camera_names(model: Any) -> list[str]:
-    return [model.camera(number).name for number in range(model.ncam)]
 
 
 def _options(mujoco: Any, groups: tuple[int, ...]) -> Any:
