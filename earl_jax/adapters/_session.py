@@ -15,9 +15,9 @@ import numpy as np
 
 from earl_jax.envs import Env, env_class, for_lanes, make, start_of
 from earl_jax.envs.checks import check_task
+from earl_jax.envs.help_budget import without_help
 from earl_jax.envs.starts import STARTS
 from earl_jax.envs.state import tree_where
-from earl_jax.envs.wrappers.help_budget import without_help
 from earl_jax.errors import InputError, brief, require_known
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require

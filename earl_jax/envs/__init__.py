@@ -11,10 +11,10 @@ from earl_jax.envs.engines import (
     with_engine as with_engine,
 )
 from earl_jax.envs.features import ContinuingDefaults as ContinuingDefaults, Map as Map, Starts as Starts, View as View
+from earl_jax.envs.help_budget import HelpBudget as HelpBudget, without_budget as without_budget
 from earl_jax.envs.mujoco_env import MujocoEnv as MujocoEnv
 from earl_jax.envs.starts import balanced_starts as balanced_starts, start_of as start_of
 from earl_jax.envs.state import State as State
-from earl_jax.envs.wrappers.help_budget import HelpBudget as HelpBudget, without_budget as without_budget
 from earl_jax.options.registry import ENVS
 
 PAPER_TASKS = (

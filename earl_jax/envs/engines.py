@@ -3,8 +3,8 @@
 import dataclasses
 
 from earl_jax.envs.base import Env
+from earl_jax.envs.help_budget import HelpBudget, without_budget
 from earl_jax.envs.mujoco_env import MujocoEnv
-from earl_jax.envs.wrappers.help_budget import HelpBudget, without_budget
 from earl_jax.errors import InputError
 from earl_jax.physics import fastest_engine, resolve_engine
 

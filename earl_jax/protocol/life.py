@@ -14,7 +14,7 @@ from flax import struct
 
 from earl_jax.envs import Env, State
 from earl_jax.envs.checks import check_task
-from earl_jax.envs.wrappers.help_budget import without_help
+from earl_jax.envs.help_budget import without_help
 from earl_jax.metrics.continuing import Counters, continuing, init_counters
 from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.jax_settings import package_types

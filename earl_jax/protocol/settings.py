@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from earl_jax.envs import Env
-from earl_jax.envs.wrappers.help_budget import HelpBudget, without_budget
+from earl_jax.envs.help_budget import HelpBudget, without_budget
 from earl_jax.errors import InputError, require_known
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, check_intervals, require_object, within

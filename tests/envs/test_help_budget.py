@@ -7,7 +7,7 @@ import pytest
 
 from earl_jax.adapters._session import Session
 from earl_jax.envs import HelpBudget, chosen_engine, for_lanes, make, resolved_engine, without_budget
-from earl_jax.envs.wrappers.help_budget import without_help
+from earl_jax.envs.help_budget import without_help
 from earl_jax.protocol import Deployment, Protocol
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem

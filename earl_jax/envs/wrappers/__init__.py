@@ -1,1 +1,0 @@
-"""Environments that wrap a task."""
