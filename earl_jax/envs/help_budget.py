@@ -98,11 +98,8 @@ class HelpBudget(Env):
 
     @property
     def starts(self) -> Starts:
-        own = self.task.starts
-        uniform, wide, numbered = (
-            start and functools.partial(self._reset_by, start) for start in (own.uniform, own.wide, own.numbered)
-        )
-        return own._replace(uniform=uniform, wide=wide, numbered=numbered)
+        *functions, count = self.task.starts
+        return Starts(*(start and functools.partial(self._reset_by, start) for start in functions), count=count)
 
     @property
     def object_position(self) -> Callable[[State], jax.Array] | None:
