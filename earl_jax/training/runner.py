@@ -209,7 +209,8 @@ class Program:
                 if run.folder and step and (stopping or run.config.checkpoint_due(step)):
                     save(run.folder.checkpoints, state, span)
             if stopping and stop.number is not None:
-                raise Stopped(stop.number, step, next((run.folder.path for run in self._runs if run.folder), None))
+                folder = self._runs[0].folder if len(self._runs) == 1 else None
+                raise Stopped(stop.number, step, folder and folder.path)
             if stopping:
                 break
         return state

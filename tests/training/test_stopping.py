@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 
 from earl_jax import resume
+from earl_jax.envs import make
 from earl_jax.options.values import TimeLimit
+from earl_jax.runs.checkpoint import newest
+from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.progress import Progress
 from earl_jax.training import runner
 from earl_jax.training.stopping import Stopped, StopRequest
 from tests.cli.process import one_line, run, succeed
-from tests.conftest import tiny_train
+from tests.conftest import make_config, tiny_method, tiny_train
 
 HANDLERS = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
 
@@ -75,6 +78,17 @@ def test_a_stopped_run_continues_bit_identically(whole, tmp_path, monkeypatch, n
     assert {number: signal.getsignal(number) for number in HANDLERS} == HANDLERS
     resume(folder)
     assert_same_files(folder, whole)
+
+
+def test_several_runs_that_stop_together_are_not_resumed_one_by_one(tmp_path, monkeypatch):
+    configs = [make_config(make("tabletop_organization"), tiny_method("naive"), seeds=(seed,)) for seed in (0, 1)]
+    runs = [runner.Run.resolve(config) for config in configs]
+    for each in runs:
+        each.folder = RunFolder.create(tmp_path / str(each.config.seeds[0]), each.config, "kinematic")
+    call_after(monkeypatch, 1, lambda: os.kill(os.getpid(), signal.SIGTERM))
+    with pytest.raises(Stopped, match=r"^stopped at step 20 by SIGTERM$"):
+        runner.Program(runs, None).run(progress=False, limit=None)
+    assert [newest(each.folder.checkpoints) for each in runs] == [20, 20]
 
 
 @pytest.mark.parametrize("end", [lambda _: os.kill(os.getpid(), signal.SIGTERM), put_clock_forward])
