@@ -125,7 +125,7 @@ def resume(
     """Return the result of the run in `folder`, trained from its newest intact checkpoint to its end.
 
     On a CPU, the result is bit-identical to that of an uninterrupted run, because the same program runs. The same seed
-    in a program with another number of lanes agrees to rounding, and on a CPU bit for bit where both have two or more.
+    in a program with another number of lanes agrees to rounding.
 
     Args:
         folder: a run folder.
@@ -171,6 +171,9 @@ def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
         raise InputError(
             f"steps {steps} is not a multiple of {every}, the run's eval_every; take {-(-steps // every) * every}"
         )
+    if steps < folder.config.steps:
+        message = f"{folder.path} now ends at step {steps:,} instead of {folder.config.steps:,}"
+        warnings.warn(message, RunWarning, stacklevel=3)
     return dataclasses.replace(folder.config, steps=steps)
 
 

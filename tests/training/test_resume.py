@@ -13,6 +13,7 @@ from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.errors import InputError
 from earl_jax.metrics.scores import as_decimals
+from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training import runner
 from tests.cli.process import unchanged
@@ -62,7 +63,8 @@ def test_a_finished_run_is_not_trained_again_and_a_longer_one_can_end_where_it_s
     with pytest.raises(ValueError, match="has 120 steps already, more than 80"):
         earl_jax.resume(tmp_path / "run", steps=80)
     RunFolder.open(tmp_path / "run").record(steps=200)
-    earl_jax.resume(tmp_path / "run", steps=np.int64(120))
+    with pytest.warns(RunWarning, match="now ends at step 120 instead of 200"):
+        earl_jax.resume(tmp_path / "run", steps=np.int64(120))
     assert RunFolder.open(tmp_path / "run").config.steps == 120
 
 
@@ -124,7 +126,7 @@ def test_unregistered_objects_train_as_registered_ones_do(whole):
 def test_resuming_without_the_objects_is_an_error_that_says_what_to_register(folder, given, kind, name, cls):
     message = (
         rf"as an object of tests\.training\.test_resume:{cls}, .* earl_jax\.register_{kind}\('{name}', {cls}\), "
-        rf"or pass the object: earl_jax\.resume\(folder, {kind}=\.\.\.\)"
+        rf"or pass the object to continue the run: earl_jax\.resume\(folder, {kind}=\.\.\.\)"
     )
     with pytest.raises(ValueError, match=message):
         earl_jax.resume(folder, **given)
