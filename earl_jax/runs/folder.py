@@ -101,7 +101,9 @@ class RunFolder:
         path = path if os.path.lexists(path / CONFIG) else Path(os.path.expanduser(path))
         file = path / CONFIG
         if not os.path.lexists(file):
-            inside = sorted(str(found.parent) for found in path.glob(f"*/{CONFIG}"))[:3]
+            depths = ("*/", "*/*/", "*/*/*/")  # the last one is that of a sweep
+            found = itertools.chain.from_iterable(path.glob(f"{depth}{CONFIG}") for depth in depths)
+            inside = sorted(str(config.parent) for config in itertools.islice(found, 3))
             hint = f"; did you mean {' or '.join(inside)}?" if inside else ""
             raise InputError(f"{path} is not a run folder: it has no {CONFIG} that can be read{hint}")
         return cls(path, *read_config(file))

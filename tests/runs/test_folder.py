@@ -221,6 +221,14 @@ def test_a_folder_that_another_process_took_over_is_not_used(folder):
         pass
 
 
+def test_a_folder_of_runs_is_refused_with_runs_of_a_sweep_in_it(folder, tmp_path):
+    sweep = tmp_path / "sweep"
+    (sweep / "task/method").mkdir(parents=True)
+    folder.path.rename(sweep / "task/method/default")
+    with pytest.raises(ValueError, match=r"not a run folder.*did you mean .*/sweep/task/method/default"):
+        RunFolder.open(sweep)
+
+
 def test_the_engine_that_trains_is_recorded(folder):
     folder.record(engine="mjx")
     assert json.loads(folder.config_file.read_text())["engine"] == "mjx"
