@@ -11,9 +11,10 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress as Bar, TextColumn, TimeRemainingColumn
 
-from earl_jax.metrics.continuing import DIVERGED
+from earl_jax.metrics.continuing import DIVERGED, OVER
 from earl_jax.runs.streams import LastingStream
 
+NONE = np.zeros(1)
 SMOOTHING = 0.8
 SILENCE = 60.0
 """Seconds without a line after which piped output gets one."""
@@ -99,11 +100,13 @@ class Progress:
         """Show an evaluation: the deployed metric and the continuing reward, means over seeds of `metrics [N]`."""
         score, reward = (metrics[name].mean(dtype=float) for name in (self._metric, "continuing/reward"))
         self._bar.update(self._task, score=f"{score:.2f}")
-        marks = metrics.get(DIVERGED, np.zeros(1)) > 0
-        if marks.any():
-            self.message(
-                f"step {step}: {marks.sum()} of {len(marks)} lanes have diverged (a loss or a parameter is not finite)"
-            )
+        for marks, problem in (
+            (metrics.get(DIVERGED, NONE) > 0, "have diverged (a loss or a parameter is not finite)"),
+            (metrics.get(OVER, NONE) > 0, "learn nothing more: their budget is spent"),
+            (metrics.get("faults", NONE) > step / 2, "have faults in most steps, from which they do not learn"),
+        ):
+            if marks.any():
+                self.message(f"step {step}: {marks.sum()} of {len(marks)} lanes {problem}")
         if self._plain:
             line = f"step {step}/{self._steps}  {self._metric} {score:.3f}  continuing/reward {reward:.5f}"
             self._print(f"{line}  {self._pace()}")

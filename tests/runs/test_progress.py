@@ -99,7 +99,16 @@ def test_durations(seconds, text):
     assert duration(seconds) == text
 
 
-def test_an_evaluation_counts_the_lanes_that_have_diverged(capsys):
+@pytest.mark.parametrize(
+    ("name", "values", "problem"),
+    [
+        ("diverged", [0, 1], "have diverged"),
+        ("help/over", [0, 1], "learn nothing more: their budget is spent"),
+        ("faults", [20, 21], "have faults in most steps"),
+    ],
+)
+def test_an_evaluation_counts_the_lanes_that_learn_nothing(capsys, name, values, problem):
     with make() as bar:
-        bar.report(40, {**METRICS, "diverged": np.array([0, 1])})
-    assert "1 of 2 lanes have diverged" in capsys.readouterr().err
+        bar.report(40, {**METRICS, name: np.array(values)})
+        bar.report(80, METRICS)
+    assert capsys.readouterr().err.count(f"1 of 2 lanes {problem}") == 1
