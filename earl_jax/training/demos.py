@@ -7,6 +7,7 @@ import numpy as np
 from earl_jax.algos.goals import trajectories
 from earl_jax.algos.learner.cloning import DemoSteps
 from earl_jax.algos.method import BACKWARD, FORWARD, Method, PhaseDemos
+from earl_jax.envs import without_budget
 from earl_jax.errors import InputError
 from earl_jax.training.state import Problem
 
@@ -43,11 +44,14 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
     env = problem.env
     if not env.demonstrations.recorded:
         if method.needs_demos:
-            raise InputError(f"{method.name} needs demonstrations, and {env.name} has none")
+            remedy = f"; set demo_file=FILE, recorded by: earl-jax demos {env.name} --out FILE"
+            remedy = remedy if env.demonstrations.script else ""
+            raise InputError(f"{method.name} needs demonstrations, and {env.name} has none{remedy}")
         return NO_ROWS
     if method.needs_demos and env.state_size != env.goal_size:
+        helped = "" if without_budget(env) is env else " with a budget"
         raise InputError(
-            f"{method.name} needs demonstrated states that can be goals, but a state of {env.name} has "
+            f"{method.name} needs demonstrated states that can be goals, but a state of {env.name}{helped} has "
             f"{env.state_size} numbers and a goal has {env.goal_size}"
         )
     parts, all_states, first, uses = [], [], 0, _uses(method)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import pytest
 
 from earl_jax.algos import SAC, Method, Phase, make_algo
-from earl_jax.envs import make
+from earl_jax.envs import HelpBudget, make
 from earl_jax.errors import InputError
 from earl_jax.runs.files import RunWarning
 from earl_jax.training.plan import join_lanes, make_plan, per_lane, program_structure
@@ -41,6 +41,14 @@ def test_a_method_has_as_many_controllers_as_the_replay_has_parts(problem):
 
     with pytest.raises(ValueError, match="crowd has 3 controllers, and the replay has parts for 2"):
         make_plan(problem, per_lane(Crowd(SAC(random_steps=20)), 2), lanes=2, steps=120)
+
+
+def test_the_remedy_for_missing_demonstrations_is_a_script_or_a_life_without_a_budget():
+    with pytest.raises(InputError, match="recorded by: earl-jax demos dhand_lightbulb --out FILE"):
+        make_plan(make_problem(make("dhand_lightbulb"), eval_every=40), tiny_method("medal"), lanes=2, steps=120)
+    helped = make_problem(HelpBudget(make("tabletop_organization"), 20), eval_every=40)
+    with pytest.raises(InputError, match="a state of tabletop_organization with a budget has 7 numbers"):
+        make_plan(helped, tiny_method("vaprl"), lanes=2, steps=120)
 
 
 @pytest.mark.parametrize(
