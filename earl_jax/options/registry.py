@@ -55,7 +55,8 @@ class Registry:
         installed = any((point.name, point.value) == (name, path) for point in self._entry_points())
         defined_again = isinstance(known, type) and class_name(known) == path
         if name in self.names() and not (installed or defined_again):
-            raise InputError(f"{self.noun} {name!r} exists already; choose another name")
+            remedy = "choose another name, or leave out one of the two"
+            raise InputError(f"{self.noun} {name!r} exists already, in {self.locate(name)[1]}; {remedy}")
         if not installed:
             self._table[name] = self._checked(name, cls, "the registered class")
         REGISTERED.append(cls)

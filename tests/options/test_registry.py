@@ -47,7 +47,7 @@ def test_the_names_of_a_package_are_listed_and_built(install):
     assert registry.names() == ["meadow", "sawyer_door"]
     assert registry.make("meadow", wide=True).wide
     registry.register("meadow", type(registry.make("meadow")))  # a script may name what its package has named
-    with pytest.raises(ValueError, match="'meadow' exists already"):
+    with pytest.raises(ValueError, match="'meadow' exists already, in Their_Package"):
         registry.register("meadow", SAC)
 
 
