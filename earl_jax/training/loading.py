@@ -57,7 +57,10 @@ def load_policies(folder: RunFolder) -> Policy:
     try:
         learner, unknown = folder.config.build_method().learner, ""
     except InputError as error:  # the defaults of the method are not known
-        learner, unknown = learner_of(folder.config.options), f"; {error}"
+        try:
+            learner, unknown = learner_of(folder.config.options), f"; {error}"
+        except InputError:
+            raise error from None  # it names the file of the learner
     learner = per_lane(learner, len(folder.config.seeds))
 
     def actor(learner: Learner) -> object:

@@ -127,6 +127,9 @@ def test_a_run_of_classes_that_are_not_registered_here_can_be_read(trained, bare
     change_config(bare.path, options={})
     with pytest.raises(ValueError, match=r"is not float32\[.*; unknown method 'patient'"):  # its defaults are not known
         _ = earl_jax.load(bare.path).policies
+    change_config(bare.path, algo="naive", options={"learner": "own"}, imports=[{"file": "own.py", "sha256": "0" * 64}])
+    with pytest.raises(ValueError, match=r"unknown learner 'own': this run was trained with own\.py"):
+        _ = earl_jax.load(bare.path).policies
     change_config(bare.path, setting={"name": "deployment", "budget": 5.0})
     with pytest.raises(ValueError, match="unknown task 'meadow'"):
         _ = earl_jax.load(bare.path).policies
