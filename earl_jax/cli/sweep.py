@@ -59,7 +59,9 @@ def sweep(
     else:
         code = 1 if outcome.failed else None
     if json:
-        values = {"out": str(out), "failed": len(outcome.failed), "lines": lines, "stopped": bool(outcome.unfinished)}
+        runs = [{"folder": str(out / name), **run} for name, run in outcome.runs.items()]
+        values = {"out": str(out), "failed": len(outcome.failed), "runs": runs, "lines": lines}
+        values["stopped"] = bool(outcome.unfinished)
         if outcome.unfinished:
             values |= {"unfinished": outcome.unfinished, "resume": "repeat the command"}
         emit(values, json, "")

@@ -1,8 +1,9 @@
 """The launcher of sweeps: it plans a grid, starts workers and reports every run, without importing jax."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError, require_known
@@ -16,10 +17,14 @@ LAUNCHERS = ("local", "slurm")
 
 
 class Outcome(NamedTuple):
-    """The names of the `failed` runs of a sweep, and of those that its time limit or a signal left `unfinished`."""
+    """The names of the `failed` runs of a sweep, and of those that its time limit or a signal left `unfinished`.
+
+    `runs` has, by their names, the `state` of all runs and a `detail`: a step, or why the run failed.
+    """
 
     failed: tuple[str, ...] = ()
     unfinished: tuple[str, ...] = ()
+    runs: Mapping[str, Mapping[str, str]] = MappingProxyType({})
 
 
 class Stopped(SystemExit):
@@ -73,16 +78,17 @@ def sweep(
     if launcher == "slurm":
         slurm_arrays.submit(out, tasks, options, emit)
         return Outcome()
-    states, stopped_by = _run_locally(tasks, per_device, emit)
-    failed = tuple(name for name, state in states.items() if state == "failed")
-    outcome = Outcome(failed, tuple(name for name, state in states.items() if state not in ("done", "failed")))
+    runs, stopped_by = _run_locally(tasks, per_device, emit)
+    failed = tuple(name for name, run in runs.items() if run["state"] == "failed")
+    earlier = {name: {"state": "done", "detail": "before"} for name in plan["finished"]}
+    left = tuple(name for name, run in runs.items() if run["state"] not in ("done", "failed"))
+    outcome = Outcome(failed, left, earlier | runs)
     if stopped_by:
         emit("stopped; repeat the command to continue")
         raise Stopped(stopped_by, outcome)
-    before, unfinished = len(plan["finished"]), len(outcome.unfinished)
-    done = f"{before} done before, {len(states) - unfinished - len(failed)} done now, {len(failed)} failed"
-    rest = f", {unfinished} unfinished after {limit}; repeat the command to continue" if unfinished else ""
-    emit(f"{counted(before + len(states), 'run')}: {done}{rest}")
+    done = f"{len(earlier)} done before, {len(runs) - len(left) - len(failed)} done now, {len(failed)} failed"
+    rest = f", {len(left)} unfinished after {limit}; repeat the command to continue" if left else ""
+    emit(f"{counted(len(outcome.runs), 'run')}: {done}{rest}")
     return outcome
 
 
@@ -150,14 +156,14 @@ def describe(plan: dict[str, Any]) -> str:
 
 def _run_locally(
     tasks: list[Task], per_device: PerDevice, emit: Callable[[str], None]
-) -> tuple[dict[str, str], int | None]:
-    """Return the last states of the runs of `tasks`, `waiting` without any, and the signal that stopped them, if one did."""
-    states = {name: "waiting" for task in tasks for name in task["runs"]}
+) -> tuple[dict[str, dict[str, str]], int | None]:
+    """Return the `Outcome.runs` of `tasks`, `waiting` if they did not start, and the signal that stopped them, if one did."""
+    runs = {name: {"state": "waiting", "detail": ""} for task in tasks for name in task["runs"]}
     envs = [config["env"] for task in tasks for config in list(task["runs"].values())[:1]]
     with open_slots(per_device, envs, emit) as slots, Workers() as workers:
         tasks = [{**task, "progress": len(slots) == 1} for task in tasks]
         for event in workers.run_all(tasks, slots):
             state = "stopped" if workers.signal and event["state"] == "failed" else event["state"]
-            states[event["run"]] = state
+            runs[event["run"]] = {"state": state, "detail": event["detail"]}
             emit(f"{state:<10} {event['run']}  {event['detail']}".rstrip())
-    return states, workers.signal
+    return runs, workers.signal

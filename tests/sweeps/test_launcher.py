@@ -82,6 +82,11 @@ def test_a_failed_group_is_reported_and_the_next_group_runs(grid, tmp_path, work
         "6 runs: 1 done before, 2 done now, 3 failed",
     ]
     assert err.count('a stray line\n{"state": "stray"} without an end') == 4
+    values = json.loads(run("sweep", grid, "--out", tmp_path, "--json")[1])
+    states = {run["folder"]: (run["state"], run["detail"]) for run in values["runs"]}
+    assert states[f"{tmp_path}/z"] == ("done", "before")
+    assert states[f"{tmp_path}/d"] == ("failed", "ValueError: broken")
+    assert (len(states), values["failed"], values["stopped"]) == (6, 3, False)
 
 
 def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, workers, monkeypatch):
@@ -90,7 +95,7 @@ def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, wor
     lines = []
     with monkeypatch.context() as patch:
         patch.setattr("earl_jax.options.values.time", SimpleNamespace(monotonic=lambda: next(clock)))
-        assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2) == ((), ("a", "b"))
+        assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2)[:2] == ((), ("a", "b"))
     assert lines[1:] == [
         "started    a  True",
         "stopped    a  1120.0",
