@@ -38,9 +38,10 @@ class Batch(NamedTuple):
 class Learner(OptionsNode, abc.ABC):
     """An off-policy actor-critic: its options, and pure functions of one agent without a leading axis.
 
-    An agent is a pytree with the field `actor`, the parameters that `act` and `greedy` take. Subclasses write `init`,
-    `act`, `greedy` and `update`, and override the others where they have more. Options that are floats are vmappable
-    leaves, so the lanes of one program can have different values.
+    An agent is a `flax.struct.PyTreeNode` with the field `actor`, the parameters that `act` and `greedy` take.
+    Subclasses write `init`, `act`, `greedy` and `update`, and override the others where they have more. `update` also
+    implements the options `utd` (see `Batch.split`) and `cloning` (`cloning.cloning_term`), or `__post_init__` refuses
+    them. Options that are floats are vmappable leaves, so the lanes of one program can have different values.
     """
 
     learning_rate: float = struct.field(default=3e-4, metadata=within("(0, 1]"))

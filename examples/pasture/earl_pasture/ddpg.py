@@ -8,6 +8,7 @@ from flax import struct
 
 from earl_jax.algos.learner.base import Batch, Learner
 from earl_jax.algos.learner.networks import ADAM, apply, descend, follow, mlp
+from earl_jax.errors import InputError
 
 
 class Agent(struct.PyTreeNode):
@@ -30,6 +31,11 @@ class DDPG(Learner):
 
     name: ClassVar[str] = "ddpg"
     diagnostics: ClassVar[tuple[str, ...]] = ("critic_loss",)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.utd != 1 or self.cloning is not None:
+            raise InputError("ddpg has neither utd nor cloning")
 
     def init(self, key: jax.Array, obs_size: int, action_size: int, entropy_free_pairs: int = 0) -> Agent:
         actor_key, critic_key = jax.random.split(key)
