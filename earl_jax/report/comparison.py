@@ -97,6 +97,7 @@ def compare(
     runs = read_methods(folders, window, metric)
     if against == "published":
         rows, needed = published_rows(runs, metric), "tasks of the paper" + (f" with {metric}" if metric else "")
+        needed += ", and none with an option that changes the task"
     else:
         rows, needed = [], "two methods on one task, or --against published"
         for first, second in (pair for pair in itertools.combinations(runs, 2) if pair[0].env == pair[1].env):

@@ -187,7 +187,7 @@ class RunConfig:
             raise InputError(
                 f"this run was trained with {registry.noun} {name!r} as an object of {trained}, which is not "
                 f"registered here; import that module and call earl_jax.register_{kind}({name!r}, {cls}), or pass the "
-                f"object: earl_jax.resume(folder, {kind}=...)"
+                f"object to continue the run: earl_jax.resume(folder, {kind}=...)"
             )
         if not self.imports or name in registry.names():
             return
