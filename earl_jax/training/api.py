@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from earl_jax.algos import Method, method_for
 from earl_jax.envs import Env, env_class, make, with_engine, without_budget
 from earl_jax.errors import InputError, brief
@@ -90,6 +92,8 @@ def train(
     method = _method_of(task, algo, options)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
     run = Run.resolve(RunConfig.from_objects(task, method, rules, seed_list(seeds), schedule), task, method)
+    if not isinstance(algo, str):
+        _warn_of_scale(task, method)
     program = Program([run], devices)  # before the folder, so that an impossible plan creates none
     if overwrite:
         program.trace()  # an error in a function of the task or the method leaves the earlier run as it is
@@ -107,6 +111,14 @@ def _method_of(env: Env, algo: str | Method, options: dict[str, Any]) -> Method:
             f"options {', '.join(options)} go with a method's name; this method is an object: use .replace(...)"
         )
     return algo
+
+
+def _warn_of_scale(env: Env, method: Method) -> None:
+    """Warn if a method that was passed as an object has the learner's default as its reward scale, and `env` another one."""
+    default, own = type(method.learner).reward_scale, env.reward_scale
+    if own != default and np.all(method.learner.reward_scale == default):
+        scales = f"reward_scale is {default:g}, the learner's default, and that of {env.name} is {own:g}"
+        warnings.warn(f"{scales}, which earl_jax.method_for takes", RunWarning, stacklevel=4)
 
 
 @package_types()
@@ -252,6 +264,8 @@ def split_options(env: str | Env, options: dict[str, Any]) -> tuple[Env, Setting
     if reserved:
         raise InputError(f"there is no option {min(reserved)!r}")
     task = make(env, **task_options) if isinstance(env, str) else env
+    if "engine" in rest:
+        with_engine(task, rest["engine"])  # an error of a task without one
     setting = with_explicit_horizon(setting_of(chosen, **setting_options), task, task_options)
     task, setting = split_setting(task, setting)
     _require_plain(task)

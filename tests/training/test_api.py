@@ -86,6 +86,8 @@ def test_options_are_split_into_task_setting_and_method():
     assert (setting.protocol(env).train_horizon, setting.protocol(env).intervention_chance) == (0, 1)
     env, setting, _ = split_options("sawyer_peg", {"setting": "continuing", "train_horizon": 100_000})
     assert setting.protocol(env).train_horizon == 100_000
+    with pytest.raises(InputError, match="tabletop_organization is plain arithmetic: it has no physics engine"):
+        split_options("tabletop_organization", {"engine": "mjx"})
 
 
 @pytest.mark.parametrize(
@@ -110,6 +112,16 @@ def test_options_are_split_into_task_setting_and_method():
 def test_an_unknown_misplaced_or_invalid_argument_is_refused_with_the_fix(options, message, no_training):
     with pytest.raises(InputError, match=message):
         train(**{"env": "tabletop_organization", "algo": "fbrl", **options})
+
+
+@pytest.mark.usefixtures("no_training")
+def test_an_object_with_another_reward_scale_than_the_task_is_named_unless_it_was_chosen(recwarn):
+    task = earl_jax.make("tabletop_organization", reward_type="dense")
+    for method in (Naive(), Naive(SAC(reward_scale=2.0)), earl_jax.method_for(task, "naive"), "naive"):
+        with pytest.raises(AssertionError, match="training started"):
+            train(task, method, steps=2000)
+    [message] = [str(each.message) for each in recwarn if "reward_scale" in str(each.message)]
+    assert message.startswith("reward_scale is 10, the learner's default, and that of tabletop_organization is 1,")
 
 
 @pytest.mark.parametrize(
