@@ -16,7 +16,7 @@ import numpy as np
 from earl_jax.envs import Env, env_class, for_lanes, make, start_of
 from earl_jax.envs.checks import check_task
 from earl_jax.envs.help_budget import without_help
-from earl_jax.envs.starts import STARTS
+from earl_jax.envs.starts import EVAL_PAIRS, STARTS
 from earl_jax.envs.state import tree_where
 from earl_jax.errors import InputError, brief, require_known
 from earl_jax.options.jax_settings import package_types
@@ -75,6 +75,10 @@ class Session:
         require("attempt_steps", self.attempt_steps, COUNT)
         if self.is_training and self.starts != STARTS[0]:
             raise InputError(f"starts={self.starts!r} is for episodes, mode 'eval'; a lifetime starts from s0 ~ rho")
+        if not self.is_training and self.protocol.eval_pairs != EVAL_PAIRS[0]:
+            raise InputError(
+                f"eval_pairs={self.protocol.eval_pairs!r} is for evaluations of a run; episodes have random pairs"
+            )
         start_of(self.env, self.starts)
         check_task(self.env)
 

@@ -202,6 +202,7 @@ def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
         ({"render_mode": "human"}, "render_mode 'human'"),
         ({"task": Chain(), "render_mode": "rgb_array"}, "'rgb_array' is not one of the modes of chain: None$"),
         ({"starts": "wide"}, "starts='wide' is for episodes"),
+        ({"setting": Deployment(eval_pairs="balanced"), **EPISODE}, "eval_pairs='balanced' is for evaluations of a run"),
         ({"starts": "far", **EPISODE}, "unknown starts 'far'; choose from initial, uniform, wide"),
         ({"num_envs": 0}, "num_envs must lie in"),
         *[({"num_envs": value}, "num_envs must be a whole number, not") for value in (None, 1.5, "2")],
