@@ -20,7 +20,7 @@ from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import Map, Starts, View
 from earl_jax.envs.state import State, stored_key, tree_where
 from earl_jax.errors import InputError
-from earl_jax.options.values import within
+from earl_jax.options.values import require_object, within
 from earl_jax.physics import PendingStep
 
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
@@ -60,7 +60,8 @@ class HelpBudget(Env):
     has_absorbing_state: ClassVar[bool] = True
 
     def __post_init__(self):
-        if not isinstance(self.task, Env) or isinstance(self.task, HelpBudget):
+        require_object("task", self.task, Env, or_name=False)
+        if isinstance(self.task, HelpBudget):
             raise InputError(f"task must be one without a budget of its own, not {self.task!r}")
         for field in dataclasses.fields(Env):
             object.__setattr__(self, field.name, getattr(self.task, field.name))

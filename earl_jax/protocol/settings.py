@@ -67,6 +67,7 @@ class Setting:
         Raises:
             ValueError: the setting has a budget, and `env` was not wrapped in its `HelpBudget`.
         """
+        require_object("task", env, Env, or_name=False)
         if self.budget is not None and not isinstance(env, HelpBudget):
             raise InputError(f"the setting has a budget, but {env.name} was not wrapped in it: pass setting.wrap(env)")
         return Protocol(

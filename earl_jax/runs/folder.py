@@ -96,8 +96,11 @@ class RunFolder:
         return folder
 
     @classmethod
-    def open(cls, path: Path) -> "RunFolder":
+    def open(cls, path: str | Path) -> "RunFolder":
         """Return the run folder at `path`; a ValueError if its config is missing or invalid, which names runs in it."""
+        if not isinstance(path, str | os.PathLike):
+            raise InputError(f"a run is read from its folder, a path, not from {brief(path)}")
+        path = Path(path)
         path = path if os.path.lexists(path / CONFIG) else Path(os.path.expanduser(path))
         file = path / CONFIG
         if not os.path.lexists(file):

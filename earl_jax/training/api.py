@@ -159,7 +159,7 @@ def resume(
         if given is not None:
             require_object(noun, given, kind, or_name=False)
     limit = TimeLimit.of(minutes)
-    opened = RunFolder.open(Path(folder))
+    opened = RunFolder.open(folder)
     step = opened.require_resumable().step  # rather than after the training
     require_checkpoint(opened, step)
     if not isinstance(logs, Sequence) or any(isinstance(log, str) for log in logs):

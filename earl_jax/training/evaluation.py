@@ -88,7 +88,7 @@ def evaluate(
     require_jax()
     require("seed", seed, SEED)
     require("episodes", episodes, EPISODES)
-    run = RunFolder.open(Path(folder))
+    run = RunFolder.open(folder)
     env = with_engine(run.config.build_task(), engine)
     start, pairs = start_of(env, starts), _pairs_of(run, starts, pairs)
     policies = load_policies(run)

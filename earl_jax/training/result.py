@@ -167,7 +167,7 @@ def load(folder: str | Path) -> Result:
     Raises:
         ValueError: `folder` is not a run folder, or its config or its metrics are damaged; the message names the file.
     """
-    run = RunFolder.open(Path(folder))
+    run = RunFolder.open(folder)
     table = run.table()
     step = max(table.step, newest(run.checkpoints))
     recorded = run.recorded()

@@ -28,7 +28,7 @@ def load_transitions(folder: str | Path, seed: int) -> tuple[Env, Demos, np.ndar
     Raises:
         ValueError: `folder` is not a run folder, or has no such seed or no intact checkpoint, or no transition is left.
     """
-    opened = RunFolder.open(Path(folder))
+    opened = RunFolder.open(folder)
     lane = lane_of(seed, opened.config.seeds, f"in {folder}")
     env, _, shapes = shapes_of(opened, opened.config.steps)
     state = restore(opened.checkpoints, shapes)

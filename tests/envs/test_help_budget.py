@@ -151,6 +151,7 @@ def test_with_a_budget_a_simulated_task_moves_as_without():
         ({"absorbed_reward": -1.0}, "absorbed_reward must be 0 with a sparse reward"),
         ({"task": Chain(reward_type="dense"), "absorbed_reward": np.nan}, "absorbed_reward must be a finite number"),
         ({"task": HelpBudget(Chain(), 1.0)}, "without a budget of its own"),
+        ({"task": "sawyer_peg"}, "the task must be an object of Env, not 'sawyer_peg'"),
     ],
 )
 def test_invalid_options_and_actions_of_the_tasks_own_size_are_refused(options, message):

@@ -66,3 +66,5 @@ def test_a_budget_wraps_the_task_and_is_split_off_again(env):
         split_setting(wrapped, Deployment(budget=3.0))
     with pytest.raises(ValueError, match=r"tabletop_organization was not wrapped in it: pass setting.wrap\(env\)"):
         Deployment(budget=5.0).protocol(env)
+    with pytest.raises(ValueError, match="the task must be an object of Env, not 'sawyer_peg'"):
+        Deployment().protocol("sawyer_peg")

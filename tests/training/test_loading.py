@@ -54,6 +54,11 @@ def test_evaluate_checks_its_arguments_before_it_reads_policies(folder, wrong):
         evaluate(folder.path, **wrong)
 
 
+def test_a_run_is_read_from_its_folder_alone(trained):
+    with pytest.raises(ValueError, match="a run is read from its folder, a path, not from Result"):
+        evaluate(trained[1])
+
+
 def save_zeros(trained, folder, step, visits=None):
     """Put policies of zeros and maps of `visits` into the place of policies.npz."""
     zeros = jax.tree.map(np.zeros_like, trained[1].policies.actor)
