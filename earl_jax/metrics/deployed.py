@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from earl_jax.envs import Env, State, balanced_starts
 from earl_jax.envs.starts import EVAL_PAIRS
-from earl_jax.errors import require_known
+from earl_jax.errors import InputError, require_known
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, EPISODES, require
 
@@ -25,7 +25,13 @@ def episode(env: Env, policy: Callable, state: State, horizon: int) -> dict[str,
 
     def step(carry, _):
         state, intact, success, total = carry
-        state = env.step(state, policy(state.obs))
+        try:
+            action = policy(state.obs)
+        except jax.errors.TracerArrayConversionError as error:
+            raise InputError(
+                "the policy needs arrays of NumPy: call it by jax.pure_callback (docs/custom_loops.md)"
+            ) from error
+        state = env.step(state, action)
         intact &= ~env.fault(state)
         success |= intact & env.success(state.obs)
         return (state, intact, success, total + jnp.where(intact, state.reward, 0.0)), None
@@ -55,7 +61,8 @@ def deployed(
     docs/formalism.md says why). They are part of the same scan, and change no other episode.
 
     Raises:
-        ValueError: `pairs` is unknown, or `episodes` or `horizon` are no whole number from one on.
+        ValueError: `pairs` is unknown, `episodes` or `horizon` are no whole number from one on, or `policy` computes outside
+            jax.
     """
     require_known("pairs", pairs, EVAL_PAIRS)
     require("episodes", episodes, EPISODES)

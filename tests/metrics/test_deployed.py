@@ -5,8 +5,10 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
+from earl_jax.errors import InputError
 from earl_jax.metrics.deployed import WIDE, deployed, episode
 
 KEY = jax.random.key(1)
@@ -65,3 +67,17 @@ def test_an_unknown_way_to_draw_pairs_and_no_episodes_are_refused(env):
     for number, arguments in {"episodes": (1, 0), "horizon": (0, 1)}.items():
         with pytest.raises(ValueError, match=rf"{number} must lie in \[1, \d+\], not 0"):
             deployed(env, idle, KEY, *arguments)
+
+
+def test_a_policy_of_numpy_is_called_from_the_program_or_refused_with_the_way(env):
+    def policy(obs):
+        return np.tanh(np.asarray(obs)[..., :3])
+
+    def called(obs):
+        return jax.pure_callback(policy, jax.ShapeDtypeStruct((3,), jnp.float32), obs, vmap_method="expand_dims")
+
+    dense = dataclasses.replace(env, reward_type="dense")
+    expected = deployed(dense, lambda obs: jnp.tanh(obs[:3]), KEY, 5, 2)["deployed/return"]
+    assert float(deployed(dense, called, KEY, 5, 2)["deployed/return"]) == pytest.approx(float(expected), rel=1e-4)
+    with pytest.raises(InputError, match=r"call it by jax\.pure_callback"):
+        deployed(env, policy, KEY, 5, 2)
