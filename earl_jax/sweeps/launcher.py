@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from earl_jax.errors import InputError, require_known
@@ -17,14 +16,19 @@ LAUNCHERS = ("local", "slurm")
 
 
 class Outcome(NamedTuple):
-    """The names of the `failed` runs of a sweep, and of those that its time limit or a signal left `unfinished`.
+    """The `state` of each run of a sweep by its name, with a `detail`: a step, or why the run failed."""
 
-    `runs` has, by their names, the `state` of all runs and a `detail`: a step, or why the run failed.
-    """
+    runs: Mapping[str, Mapping[str, str]]
 
-    failed: tuple[str, ...] = ()
-    unfinished: tuple[str, ...] = ()
-    runs: Mapping[str, Mapping[str, str]] = MappingProxyType({})
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """The names of the runs that failed."""
+        return tuple(name for name, run in self.runs.items() if run["state"] == "failed")
+
+    @property
+    def unfinished(self) -> tuple[str, ...]:
+        """The names of the runs that a time limit or a signal left."""
+        return tuple(name for name, run in self.runs.items() if run["state"] not in ("done", "failed"))
 
 
 class Stopped(SystemExit):
@@ -77,17 +81,16 @@ def sweep(
     tasks = [{**common, "runs": group["runs"]} for group in plan["groups"]]
     if launcher == "slurm":
         slurm_arrays.submit(out, tasks, options, emit)
-        return Outcome()
+        return Outcome({})
     runs, stopped_by = _run_locally(tasks, per_device, emit)
-    failed = tuple(name for name, run in runs.items() if run["state"] == "failed")
     earlier = {name: {"state": "done", "detail": "before"} for name in plan["finished"]}
-    left = tuple(name for name, run in runs.items() if run["state"] not in ("done", "failed"))
-    outcome = Outcome(failed, left, earlier | runs)
+    outcome = Outcome(earlier | runs)
     if stopped_by:
         emit("stopped; repeat the command to continue")
         raise Stopped(stopped_by, outcome)
-    done = f"{len(earlier)} done before, {len(runs) - len(left) - len(failed)} done now, {len(failed)} failed"
-    rest = f", {len(left)} unfinished after {limit}; repeat the command to continue" if left else ""
+    failed, left = len(outcome.failed), len(outcome.unfinished)
+    done = f"{len(earlier)} done before, {len(runs) - left - failed} done now, {failed} failed"
+    rest = f", {left} unfinished after {limit}; repeat the command to continue" if left else ""
     emit(f"{counted(len(outcome.runs), 'run')}: {done}{rest}")
     return outcome
 

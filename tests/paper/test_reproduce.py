@@ -143,7 +143,7 @@ def test_the_trade_off_varies_epsilon_and_the_budget_on_two_tasks(tmp_path):
 
 
 def test_options_reach_the_sweep_and_a_result_with_unfinished_runs_is_not_written(tmp_path, monkeypatch):
-    sweep = Mock(return_value=Outcome(unfinished=("tabletop_organization/fbrl/x",)))
+    sweep = Mock(return_value=Outcome({"tabletop_organization/fbrl/x": {"state": "stopped"}}))
     monkeypatch.setattr(reproduce, "sweep", sweep)
     output = succeed("reproduce", "table1", "--out", tmp_path / "out", "--per-device", "auto", "--minutes", "5")
     given = sweep.call_args.kwargs
@@ -157,7 +157,7 @@ def test_failed_runs_are_named_after_the_files_of_the_others_and_the_exit_code_i
     def train(file, out, **_):
         done, *failed = grid.read(file)
         write_run(out / done.name, done.env, done.algo, constant(0.5), metrics={"continuing/reward": 0.1})
-        return Outcome(failed=tuple(spec.name for spec in failed))
+        return Outcome({spec.name: {"state": "failed"} for spec in failed})
 
     monkeypatch.setattr(reproduce, "sweep", train)
     code, output, _ = run("reproduce", "table1", "--out", tmp_path)
@@ -165,7 +165,7 @@ def test_failed_runs_are_named_after_the_files_of_the_others_and_the_exit_code_i
     *files, last = output.splitlines()
     assert str(tmp_path / "table1/table1.csv") in files
     assert last.startswith("failed runs: tabletop_organization/")
-    monkeypatch.setattr(reproduce, "sweep", lambda *_, **__: Outcome(failed=("a", "b")))
+    monkeypatch.setattr(reproduce, "sweep", lambda *_, **__: Outcome({name: {"state": "failed"} for name in "ab"}))
     code, output, _ = run("reproduce", "figure2", "--out", tmp_path)
     lines = ["figure2 is not written; no run of it has reached an evaluation", "failed runs: a, b"]
     assert (code, output.splitlines()) == (1, lines)

@@ -95,7 +95,8 @@ def test_a_sweep_whose_minutes_run_out_starts_no_other_group(grid, tmp_path, wor
     lines = []
     with monkeypatch.context() as patch:
         patch.setattr("earl_jax.options.values.time", SimpleNamespace(monotonic=lambda: next(clock)))
-        assert launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2)[:2] == ((), ("a", "b"))
+        outcome = launcher.sweep(grid, tmp_path, emit=lines.append, minutes=2)
+    assert (outcome.failed, outcome.unfinished) == ((), ("a", "b"))
     assert lines[1:] == [
         "started    a  True",
         "stopped    a  1120.0",
