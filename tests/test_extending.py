@@ -32,6 +32,11 @@ main(["train", "pasture", "--algo", "subsets", *LENGTHS, "--out", "subsets", "--
 learner = ["--learner", "ddpg", "--set", "noise=0.2", *TINY]
 main(["train", "pasture", "--algo", "detour", *LENGTHS, "--out", "ddpg", *learner])
 main(["evaluate", "ddpg", "--episodes", "2"])
+import pytest
+from earl_pasture.ddpg import DDPG
+for option in {"utd": 2}, {"cloning": 0.5}:
+    with pytest.raises(ValueError, match="ddpg has neither utd nor cloning"):
+        DDPG(**option)
 exec(DEMOS)
 demos = f"demo_file={Path('pasture.npz').resolve()}"
 main(["train", "pasture", "--algo", "vaprl", *LENGTHS, "--out", "vaprl", "--set", demos, *TINY])

@@ -85,7 +85,7 @@ def test_what_cannot_be_compared_is_refused(folders, tmp_path):
     with pytest.warns(RunWarning, match="naive and fbrl .* are not compared: one is scored by success"):
         rows = compare([*folders[:2], dense, sparse])
     assert [(row["first"], row["second"]) for row in rows] == [("naive", "fbrl")]
-    with pytest.raises(ValueError, match="needs runs of tasks of the paper"):
+    with pytest.raises(ValueError, match="needs runs of tasks of the paper, and none with an option that changes the"):
         compare([sparse], against="published")
     with pytest.raises(ValueError, match="unknown against 'publised'; did you mean 'published'"):
         compare(folders, against="publised")
