@@ -103,9 +103,14 @@ def method_for(env: Env, name: str, **options) -> Method:
     """
     require_object("task", env, Env, or_name=False)
     learner = options.get("learner")
-    if not isinstance(learner, Learner) or np.all(learner.reward_scale == type(learner).reward_scale):
+    if not isinstance(learner, Learner) or has_default_scale(learner):
         options.setdefault("reward_scale", env.reward_scale)
     return make_algo(name, **options)
+
+
+def has_default_scale(learner: Learner) -> bool:
+    """Return whether the reward scale of `learner` is its class's default in all lanes."""
+    return bool(np.all(learner.reward_scale == type(learner).reward_scale))
 
 
 def _leaf(field: dataclasses.Field, value: Any) -> Any:

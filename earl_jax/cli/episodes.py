@@ -102,7 +102,7 @@ def export(
     if is_run(source):
         if direction is not None:
             raise InputError(f"{source} is a run, whose life is exported whole: leave out --direction")
-        config = RunFolder.open(Path(source)).config
+        config = RunFolder.open(source).config
         seed = config.seeds[0] if seed is None else seed
         env, transitions, terminal = load_transitions(source, seed)
         name = dataset or f"earl_jax/{config.env}/{config.algo}-seed-{seed}-v0"

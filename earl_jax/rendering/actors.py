@@ -89,7 +89,7 @@ def _env_and_policy(source: str | Path, seed: int | None, method: str | None) ->
         return pretrained_env(str(source), method), pretrained(str(source), method)
     if method is not None:
         raise InputError(f"{source} is a run folder, whose own policy acts: leave out the method {method!r}")
-    run = RunFolder.open(Path(source))
+    run = RunFolder.open(source)
     lane = lane_of(seed, run.config.seeds, f"in {source}")
     return run.config.build_task(), select_seed(load_policies(run), lane)
 

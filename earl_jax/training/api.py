@@ -9,9 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from earl_jax.algos import Method, method_for
+from earl_jax.algos import Method, has_default_scale, method_for
 from earl_jax.envs import Env, env_class, make, with_engine, without_budget
 from earl_jax.errors import InputError, brief
 from earl_jax.options.jax_settings import package_types
@@ -116,7 +114,7 @@ def _method_of(env: Env, algo: str | Method, options: dict[str, Any]) -> Method:
 def _warn_of_scale(env: Env, method: Method) -> None:
     """Warn if a method that was passed as an object has the learner's default as its reward scale, and `env` another one."""
     default, own = type(method.learner).reward_scale, env.reward_scale
-    if own != default and np.all(method.learner.reward_scale == default):
+    if own != default and has_default_scale(method.learner):
         scales = f"reward_scale is {default:g}, the learner's default, and that of {env.name} is {own:g}"
         warnings.warn(f"{scales}, which earl_jax.method_for takes", RunWarning, stacklevel=4)
 
