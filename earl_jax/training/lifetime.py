@@ -1,6 +1,5 @@
 """A whole lifetime as a pure function, for `jit`, `vmap` or a notebook."""
 
-import functools
 import numbers
 
 import jax
@@ -46,7 +45,7 @@ def lifetime(
     method = per_lane(method, lanes)
     plan = make_plan(problem, method, lanes, steps)
     state = init_train_state(problem, method, keys, steps)
-    state, metrics = jax.lax.scan(functools.partial(_window, plan, method), state, jnp.arange(steps // every))
+    state, metrics = jax.lax.scan(lambda state, _: _window(plan, method, state), state, length=steps // every)
     return state, jax.tree.map(jnp.transpose, metrics)
 
 
@@ -64,20 +63,18 @@ def _static_steps(problem: Problem, steps: int | None) -> int:
     return steps
 
 
-def _window(
-    plan: Plan, method: Method, state: TrainState, number: jax.Array
-) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Return the state after the window `number []` between two evaluations, and its metrics [N].
+def _window(plan: Plan, method: Method, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
+    """Return the state after the next evaluation, and its metrics [N].
 
     Steps of the warm-up and steps that learn are one piece of the program, because XLA takes seconds to compile the
     physics of each piece on MJX.
     """
     chunks = plan.problem.protocol.eval_every // plan.chunk_steps
 
-    def chunk(carry, index):
-        warmup: Warmup = (number * chunks + index) * plan.chunk_steps < plan.random_steps
+    def chunk(carry, _):
+        warmup: Warmup = carry.step < plan.random_steps
         if plan.random_steps == 0 or plan.steps <= plan.random_steps:
             warmup = plan.random_steps > 0
         return run_steps(plan.problem, method, carry, plan.chunk_steps, warmup), None
 
-    return evaluate_lanes(plan.problem, method, jax.lax.scan(chunk, state, jnp.arange(chunks))[0])
+    return evaluate_lanes(plan.problem, method, jax.lax.scan(chunk, state, length=chunks)[0])
