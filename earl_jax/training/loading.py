@@ -14,7 +14,7 @@ from earl_jax.runs.checkpoint import newest, restore
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import per_lane
-from earl_jax.training.policy import Policy
+from earl_jax.training.policy import Policy, policies_of
 from earl_jax.training.state import LaneState, Problem, TrainState, seed_keys
 
 
@@ -50,8 +50,7 @@ def load_policies(folder: RunFolder) -> Policy:
     """
     saved = policies.policies_step(folder.policies)
     if saved == 0 or saved < newest(folder.checkpoints):
-        env, method, lanes = load_lanes(folder)
-        return jax.vmap(functools.partial(Policy.of, env))(method, lanes)
+        return policies_of(*load_lanes(folder))
     obs_size, action_size, budget_at = _sizes(folder)
     helped = budget_at is not None
     try:

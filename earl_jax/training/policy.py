@@ -5,6 +5,7 @@ assets/pretrained/TASK/METHOD.npz and .json. `python -m benchmarks.pretrained RU
 """
 
 import dataclasses
+import functools
 from typing import Any
 
 import jax
@@ -47,8 +48,8 @@ class Policy(struct.PyTreeNode, eq=False):
     @classmethod
     def of(cls, env: Env, method: Method, lane: LaneState) -> "Policy":
         """Return the policy of one lane (no lane axis) of `method` on `env`."""
-        task, actors = method.phases[TASK].controller, method.learner.deployed(lane.agent)
-        return cls.of_actor(env, method.learner, jax.tree.map(lambda leaf: leaf[task], actors))
+        agent = jax.tree.map(lambda leaf: leaf[method.phases[TASK].controller], lane.agent)
+        return cls.of_actor(env, method.learner, method.learner.deployed(agent))
 
     @classmethod
     def of_actor(cls, env: Env, learner: Learner, actor: Any) -> "Policy":
@@ -101,6 +102,12 @@ class Policy(struct.PyTreeNode, eq=False):
             f"this policy of the learner {self.learner.name!r} has no NumPy form: it is not one lane whose greedy action "
             "is the tanh of the first outputs of a ReLU network"
         )
+
+
+@functools.partial(jax.jit, static_argnames="env")
+def policies_of(env: Env, method: Method, lanes: LaneState) -> Policy:
+    """Return the task policies of all `lanes` of `method` on `env`, one policy with leaves [N]."""
+    return jax.vmap(functools.partial(Policy.of, env))(method, lanes)
 
 
 def pretrained(task: str, method: str, seed: int | None = None) -> Policy:

@@ -21,7 +21,7 @@ from earl_jax.runs.config import RunConfig
 from earl_jax.runs.folder import RunFolder
 from earl_jax.training.loading import load_policies
 from earl_jax.training.plan import per_lane
-from earl_jax.training.policy import Policy
+from earl_jax.training.policy import Policy, policies_of
 from earl_jax.training.state import TrainState
 
 MOST_SEEDS = 10
@@ -103,7 +103,7 @@ class Result:
             ValueError: the run was loaded, and its folder has no policies, damaged ones or those of another run since.
         """
         if self.train_state is not None:
-            return jax.vmap(functools.partial(Policy.of, self.env))(self.method, self.train_state.lanes)
+            return policies_of(self.env, self.method, self.train_state.lanes)
         assert self.folder is not None
         if RunFolder.open(self.folder.path).recorded().get("id") != self.run_id:
             raise InputError(f"{self.folder.path} holds another run than when it was loaded; load it again")

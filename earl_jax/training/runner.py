@@ -13,8 +13,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from earl_jax.algos import Method
-from earl_jax.algos.method import TASK
-from earl_jax.envs import Env, chosen_engine, for_lanes, without_budget
+from earl_jax.envs import Env, chosen_engine, for_lanes
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.values import TimeLimit, counted
 from earl_jax.protocol import Protocol, Rules
@@ -30,9 +29,10 @@ from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import check_lanes, init_train_state
 from earl_jax.training.plan import join_lanes, make_plan, per_lane
+from earl_jax.training.policy import policies_of
 from earl_jax.training.program_cache import keep_programs
 from earl_jax.training.scan import run_steps
-from earl_jax.training.state import Problem, TrainState, seed_keys
+from earl_jax.training.state import LaneState, Problem, TrainState, seed_keys
 from earl_jax.training.stopping import Stopped, StopRequest
 
 
@@ -244,31 +244,28 @@ class Program:
             state, metrics = _evaluate(self.plan.problem, self._method, state, self.plan.mesh)
             metrics = {name: as_decimals(values) for name, values in gathered(metrics).items()}
         check_lanes(self.plan.problem, self._method, state)
-        save_policies_of(self._runs, state, step)
+        save_policies_of(self._runs, self._method, state.lanes, step)
         for run, span in _with_lanes(self._runs):
             run.add(step, {name: values[span] for name, values in metrics.items()})
         bar.report(step, metrics)
         return state
 
 
-def save_policies_of(runs: Sequence[Run], state: TrainState, step: int) -> None:
-    """Write the task actors and the maps of visits of the lanes of each run that has a folder."""
+def save_policies_of(runs: Sequence[Run], method: Method, lanes: LaneState, step: int) -> None:
+    """Write the task actors and the maps of visits of the `lanes` of each run that has a folder."""
     if not any(run.folder for run in runs):
         return
-    method = runs[0].method
-    controller, actors = method.phases[TASK].controller, gathered(method.learner.deployed(state.lanes.agent))
-    actors = jax.tree.map(lambda leaf: leaf[:, controller], actors)
-    visits = gathered(state.lanes.visits)
+    policies = policies_of(runs[0].env, method, lanes)
+    actors, visits = gathered((policies.actor, lanes.visits))
     for run, span in _with_lanes(runs):
         if run.folder and first_host():
-            task = without_budget(run.env)
             save_policies(
                 run.folder.policies,
                 jax.tree.map(operator.itemgetter(span), actors),
                 step=step,
                 seeds=run.config.seeds,
-                obs_size=task.observation_size,
-                action_size=task.action_size,
+                obs_size=policies.obs_size,
+                action_size=policies.action_size,
                 visits=None if visits is None else visits[span],
             )
 

@@ -1,7 +1,6 @@
 """Policies: of the task without help after training with a budget, and those that ship, which reach what they claim."""
 
 import functools
-import types
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +32,7 @@ def test_policies_npz_holds_policies_of_the_task_without_help_of_the_averaged_ac
     if averaged:
         zeros = jax.tree.map(jnp.zeros_like, lanes.agent.actor)
         lanes = lanes.replace(agent=lanes.agent.replace(averaged=lanes.agent.actor, actor=zeros))
-    runner.save_policies_of([run], types.SimpleNamespace(lanes=lanes), 40)
+    runner.save_policies_of([run], run.method, lanes, 40)
     with np.load(run.folder.policies) as saved:
         assert (int(saved["obs_size"]), int(saved["action_size"])) == (12, 3)
         assert saved["actor['params']['hidden_0']['kernel']"].shape == (2, 13, 16), "with the budget"
@@ -46,6 +45,32 @@ def test_policies_npz_holds_policies_of_the_task_without_help_of_the_averaged_ac
         of_lane = Policy.of(helped, take_lane(method, lane), take_lane(lanes, lane))
         for loaded in (select_seed(policy, lane), of_lane):
             np.testing.assert_allclose(loaded(obs), expected, atol=1e-6)
+
+
+class Mirrored(SAC):
+    """Its deployed actor depends on the axes of the agent and on an option of the lane."""
+
+    name = "mirrored"
+
+    def deployed(self, agent):
+        return jax.tree.map(lambda leaf: self.discount * leaf[::-1], agent.actor)
+
+
+def test_a_learner_deploys_the_agent_of_one_controller_of_one_lane(tmp_path):
+    """It used to get the agents of all controllers, and in policies.npz of all lanes too."""
+    env, method = make(NAME), tiny_method("fbrl", learner=Mirrored(), discount=[0.5, 0.9])
+    config = make_config(env, method)
+    run = runner.Run.resolve(config, env, method)
+    run.folder = RunFolder.create(tmp_path / "run", config, "kinematic", ())
+    lanes = make_train_state(make_problem(env), method, [0, 1]).lanes
+    runner.save_policies_of([run], run.method, lanes, 40)
+    kernel = np.asarray(lanes.agent.actor["params"]["hidden_0"]["kernel"][:, 0])
+    expected = np.float32([0.5, 0.9])[:, None, None] * kernel[:, ::-1]
+    with np.load(run.folder.policies) as saved:
+        np.testing.assert_allclose(saved["actor['params']['hidden_0']['kernel']"], expected, rtol=1e-6)
+    for lane in (0, 1):
+        policy = Policy.of(env, take_lane(method, lane), take_lane(lanes, lane))
+        np.testing.assert_allclose(policy.actor["params"]["hidden_0"]["kernel"], expected[lane], rtol=1e-6)
 
 
 EPISODES = 20
