@@ -72,7 +72,7 @@ def goal_table(env: Env) -> Goals:
 def _goal_table(env: Env, *tables: bytes) -> Goals:
     """Return the goals of `env`, whose `tables` `%autoreload` can change in an equal env."""
     parts, ends = [env.goal_states, env.initial_states], [np.zeros(0, int)]
-    if env.demonstrations.recorded and env.state_size == env.goal_size:
+    if env.state_size == env.goal_size:
         for direction in env.demonstrations.directions:
             states, last = trajectories(env.demonstrations.load(direction))
             parts.append(states)

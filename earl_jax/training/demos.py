@@ -32,9 +32,6 @@ class DemoRows(NamedTuple):
         return np.repeat(self.rows[own], self.copies[own])
 
 
-NO_ROWS = DemoRows(*np.zeros((len(DemoRows._fields), 0), int))
-
-
 def demo_rows(problem: Problem, method: Method) -> DemoRows:
     """Return the demonstrations in the initial replay of `method`, without a row if the task has none of its directions.
 
@@ -42,12 +39,10 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
         ValueError: the method needs demonstrations, and the task has none or its states cannot be goals.
     """
     env = problem.env
-    if not env.demonstrations.recorded:
-        if method.needs_demos:
-            remedy = f"; set demo_file=FILE, recorded by: earl-jax demos {env.name} --out FILE"
-            remedy = remedy if env.demonstrations.script else ""
-            raise InputError(f"{method.name} needs demonstrations, and {env.name} has none{remedy}")
-        return NO_ROWS
+    if method.needs_demos and not env.demonstrations.recorded:
+        remedy = f"; set demo_file=FILE, recorded by: earl-jax demos {env.name} --out FILE"
+        remedy = remedy if env.demonstrations.script else ""
+        raise InputError(f"{method.name} needs demonstrations, and {env.name} has none{remedy}")
     if method.needs_demos and env.state_size != env.goal_size:
         helped = "" if without_budget(env) is env else " with a budget"
         raise InputError(
@@ -70,7 +65,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
         all_states.append(states)
         first += len(states)
     if not parts:
-        return NO_ROWS
+        return DemoRows(*np.zeros((len(DemoRows._fields), 0), int))
     fields = [np.concatenate(field) for field in zip(*parts, strict=True)]
     return DemoRows(np.concatenate(all_states), *fields)
 
