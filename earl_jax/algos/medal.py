@@ -10,7 +10,7 @@ from flax import struct
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.base import Learner
 from earl_jax.algos.learner.cloning import DemoSteps
-from earl_jax.algos.learner.networks import ADAM, apply, descend, mlp
+from earl_jax.algos.learner.networks import ADAM, MLP, apply, descend
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.method import FORWARD, RETURN, TASK, Method, Phase, PhaseDemos
@@ -22,7 +22,7 @@ HALF_BATCH = 400
 """Rows of each class in a step of the classifier (released)."""
 SMALLEST = 1e-10
 """Added to the probability in the reward (released), which bounds it by 23."""
-_NETWORK = mlp((128,), 1)
+_NETWORK = MLP((128, 1))
 
 
 class Classifier(struct.PyTreeNode):

@@ -8,7 +8,7 @@ from flax import struct
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.base import Batch
-from earl_jax.algos.learner.networks import ADAM, apply, descend, mlp
+from earl_jax.algos.learner.networks import ADAM, MLP, apply, descend
 from earl_jax.algos.learner.replay import TransitionBatch
 from earl_jax.algos.method import RETURN, Method, Phase
 from earl_jax.envs import Env
@@ -16,7 +16,7 @@ from earl_jax.envs.state import tree_where
 from earl_jax.options.values import within
 
 EMBEDDING = 512
-_NETWORK = mlp((256, 256), EMBEDDING)
+_NETWORK = MLP((256, 256, EMBEDDING))
 
 
 class RND(struct.PyTreeNode):

@@ -53,11 +53,6 @@ class MLP(linen.Module):
         return x
 
 
-def mlp(hidden_sizes: tuple[int, ...], outputs: int, layer_norm: bool = False) -> MLP:
-    """Return the `MLP` with the layers `hidden_sizes` and `outputs`."""
-    return MLP((*hidden_sizes, outputs), layer_norm)
-
-
 def apply(params: Any, x: jax.Array, precision: str = "tf32") -> jax.Array:
     """Return the float32 outputs [..., O] of the `MLP` with `params` at `x [..., K]`, differentiable in both.
 

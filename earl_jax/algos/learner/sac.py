@@ -14,7 +14,7 @@ from flax import struct
 from earl_jax.algos.learner import networks
 from earl_jax.algos.learner.base import Batch, Learner
 from earl_jax.algos.learner.cloning import cloning_term
-from earl_jax.algos.learner.networks import ADAM, descend, follow, mlp
+from earl_jax.algos.learner.networks import ADAM, MLP, descend, follow
 from earl_jax.errors import InputError
 from earl_jax.options.values import within
 
@@ -86,8 +86,8 @@ class SAC(Learner):
 
     def init(self, key: jax.Array, obs_size: int, action_size: int, entropy_free_pairs: int = 0) -> Agent:
         actor_key, critic_key = jax.random.split(key)
-        actor = mlp(self.hidden_sizes, 2 * action_size).init(actor_key, jnp.zeros((obs_size,)))
-        network, example = mlp(self.hidden_sizes, 1, self.layer_norm), jnp.zeros((obs_size + action_size,))
+        actor = MLP((*self.hidden_sizes, 2 * action_size)).init(actor_key, jnp.zeros((obs_size,)))
+        network, example = MLP((*self.hidden_sizes, 1), self.layer_norm), jnp.zeros((obs_size + action_size,))
         count = self.ensemble + 2 * entropy_free_pairs
         critics = jax.vmap(network.init, (0, None))(jax.random.split(critic_key, count), example)
         log_temperature = jnp.log(jnp.asarray(self.initial_temperature, jnp.float32))

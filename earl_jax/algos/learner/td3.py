@@ -12,7 +12,7 @@ from flax import struct
 from earl_jax.algos.learner import networks
 from earl_jax.algos.learner.base import Batch, Learner
 from earl_jax.algos.learner.cloning import cloning_term
-from earl_jax.algos.learner.networks import ADAM, descend, follow, mlp
+from earl_jax.algos.learner.networks import ADAM, MLP, descend, follow
 from earl_jax.options.values import within
 
 
@@ -60,8 +60,8 @@ class TD3(Learner):
 
     def init(self, key: jax.Array, obs_size: int, action_size: int, entropy_free_pairs: int = 0) -> Agent:
         actor_key, critic_key = jax.random.split(key)
-        actor = mlp(self.hidden_sizes, action_size).init(actor_key, jnp.zeros((obs_size,)))
-        network, example = mlp(self.hidden_sizes, 1, self.layer_norm), jnp.zeros((obs_size + action_size,))
+        actor = MLP((*self.hidden_sizes, action_size)).init(actor_key, jnp.zeros((obs_size,)))
+        network, example = MLP((*self.hidden_sizes, 1), self.layer_norm), jnp.zeros((obs_size + action_size,))
         critics = jax.vmap(network.init, (0, None))(jax.random.split(critic_key, 2), example)
         target_actor, targets = jax.tree.map(jnp.copy, (actor, critics))
         return Agent(actor, critics, target_actor, targets, ADAM.init(actor), ADAM.init(critics), jnp.zeros(()))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from earl_jax.algos.learner.base import Batch, Learner
-from earl_jax.algos.learner.networks import ADAM, apply, descend, follow, mlp
+from earl_jax.algos.learner.networks import ADAM, MLP, apply, descend, follow
 from earl_jax.errors import InputError
 
 
@@ -39,8 +39,8 @@ class DDPG(Learner):
 
     def init(self, key: jax.Array, obs_size: int, action_size: int, entropy_free_pairs: int = 0) -> Agent:
         actor_key, critic_key = jax.random.split(key)
-        actor = mlp(self.hidden_sizes, action_size).init(actor_key, jnp.zeros(obs_size))
-        critic = mlp(self.hidden_sizes, 1).init(critic_key, jnp.zeros(obs_size + action_size))
+        actor = MLP((*self.hidden_sizes, action_size)).init(actor_key, jnp.zeros(obs_size))
+        critic = MLP((*self.hidden_sizes, 1)).init(critic_key, jnp.zeros(obs_size + action_size))
         targets = jax.tree.map(jnp.copy, (actor, critic))
         return Agent(actor, critic, targets, (ADAM.init(actor), ADAM.init(critic)))
 

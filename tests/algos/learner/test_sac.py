@@ -10,7 +10,7 @@ from scipy import stats
 
 from earl_jax.algos import make_algo
 from earl_jax.algos.learner.cloning import cloning_term, cloning_weight
-from earl_jax.algos.learner.networks import apply, mlp, mode, tanh_log_prob
+from earl_jax.algos.learner.networks import MLP, apply, mode, tanh_log_prob
 from earl_jax.algos.learner.sac import SAC
 from tests.algos.learner.conftest import ROWS, SIZE
 from tests.conftest import assert_equal_trees
@@ -33,7 +33,7 @@ def test_tanh_normal_has_the_paper_s_density():
 
 
 def test_networks_start_glorot_uniform_with_zero_biases():
-    params = jax.jit(mlp((256, 256), 3).init)(jax.random.key(0), jnp.zeros(12))["params"]
+    params = jax.jit(MLP((256, 256, 3)).init)(jax.random.key(0), jnp.zeros(12))["params"]
     kernel = np.asarray(params["hidden_0"]["kernel"])
     bound = np.sqrt(6 / (12 + 256))
     assert 0.98 * bound < np.abs(kernel).max() <= bound
@@ -77,7 +77,7 @@ def test_float32_requests_full_float32_forward_and_backward_and_tf32_does_not(ba
 )
 def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs, layer_norm):
     """Biases keep every unit far from the kink of its ReLU, so that the two differ by rounding alone."""
-    network = mlp(hidden_sizes, outputs, layer_norm)
+    network = MLP((*hidden_sizes, outputs), layer_norm)
     keys = jax.random.split(jax.random.key(0), 2)
     blank = jax.jit(network.init)(keys[0], jnp.zeros(7))
     params = jax.tree.map(lambda leaf: 4.0 * (-1.0) ** np.arange(len(leaf)) if leaf.ndim == 1 else leaf, blank)
