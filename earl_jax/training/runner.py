@@ -128,7 +128,7 @@ class Program:
     def trace(self) -> None:
         """Raise the errors of the functions of the runs from their first step on; `run` does not trace them again."""
         plan, method = self.plan, self._method
-        state = _init.eval_shape(*self._initial_state().args)
+        state = jax.eval_shape(self._initial_state())
         for warmup in {*plan.warmups(0)}:
             state = _advance.eval_shape(plan.problem, method, state, plan.chunk_steps, warmup, plan.mesh)
         _evaluate.eval_shape(plan.problem, method, state, plan.mesh)
@@ -163,7 +163,7 @@ class Program:
                 stack.enter_context(run.logged(step))
             return self._train_to_end(state, step, bar, stop)
 
-    def _initial_state(self) -> functools.partial[TrainState]:
+    def _initial_state(self) -> Callable[[], TrainState]:
         """Return the function that makes the state of all lanes before the first step."""
         plan, runs = self.plan, self._runs
         keys = placed(seed_keys([seed for run in runs for seed in run.config.seeds]), plan.mesh)
