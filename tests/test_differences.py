@@ -127,10 +127,11 @@ def test_the_test_with_the_released_runs_is_no_part_of_the_family_of_ours(tmp_pa
 
 
 def test_one_controller_is_tested_from_uniform_starts():
-    success, loss = differences.starts_rows({differences.TWO: TWO, differences.ONE: ONE})
+    success, loss, share = differences.starts_rows({differences.TWO: TWO, differences.ONE: ONE})
     assert success["difference"] == pytest.approx(-0.6)
     assert loss["difference"] == pytest.approx(0.6)
-    assert success["p"] == loss["p"] == pytest.approx(2 / 252)
+    assert share["difference"] == pytest.approx(0.6 / 0.9)
+    assert success["p"] == loss["p"] == share["p"] == pytest.approx(2 / 252)
     assert loss["mean_low"] + loss["mean_high"] == pytest.approx(2 * loss["mean"]), "a loss is no rate"
     assert differences.starts_rows({differences.TWO: TWO}) == []
 

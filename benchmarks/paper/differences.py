@@ -64,14 +64,16 @@ def comparisons(root: Path = RUNS, seeds: Path = SEEDS) -> list[Row]:
 
 
 def starts_rows(runs: dict[str, dict[str, np.ndarray]]) -> list[Row]:
-    """Return the tests of FBRL with two controllers and with one: success from uniform starts, and the loss to it."""
+    """Return the tests of FBRL with two controllers and with one: success from uniform starts, the loss to it, its share."""
     if not {TWO, ONE} <= runs.keys():
         return []
-    two, one = runs[TWO], runs[ONE]
-    losses = [success["initial"] - success[RELEASED] for success in (two, one)]
+    own, uniform = ([runs[run][kind] for run in (TWO, ONE)] for kind in ("initial", RELEASED))
+    losses = [success - other for success, other in zip(own, uniform, strict=True)]
+    shares = [loss / success for loss, success in zip(losses, own, strict=True)]
     return [
-        _scores_row("success from starts within 2.5", two[RELEASED], one[RELEASED], rate=True),
+        _scores_row("success from starts within 2.5", *uniform, rate=True),
         _scores_row("success from s0 minus that", *losses, rate=False),
+        _scores_row("that difference as a share of the success from s0", *shares, rate=False),
     ]
 
 

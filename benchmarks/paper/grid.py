@@ -12,7 +12,7 @@ from earl_jax.paper.artefact import METHODS, methods_on
 from earl_jax.report.plots import RELEASED, draw_curves
 from earl_jax.report.published import RECONSTRUCTED, published_beside, released_beside, share_text, training_steps
 from earl_jax.report.runs import Curves
-from earl_jax.report.scores import SMOOTH
+from earl_jax.report.scores import SMOOTH, in_as_many_steps
 from earl_jax.report.style import AXES, legend_below, matplotlib, method_title, new_figure, save, step_axis, task_title
 from earl_jax.report.tables import Row, markdown_table
 
@@ -54,8 +54,9 @@ def summary(rows: Sequence[Row]) -> str:
     sentences = (
         f"Of the {len(rows)} cells of the paper's table 1, {len(whole)} have run for {100 * WHOLE:.0f} % of its steps or more.",
         f"In {len(open_ones)} of these we detect no difference from the paper (p = "
-        f"{min(row['p_holm'] for row in open_ones):.2g} or more, adjusted over the methods of a task). Their seeds would "
-        f"detect only differences of {_listed(_detectable(open_ones))}, depending on the cell.",
+        f"{min(row['p_holm'] for row in open_ones):.2g} or more, adjusted over the methods of a task). Their seeds "
+        f"would detect only differences of {_listed(_detectable(open_ones))}, depending on the cell, and with the adjustment "
+        "only larger ones.",
         f"{_listed(differing) if told else 'No other differs'}.",
         f"The other cells have run for {100 * min(shares):.0f} to {100 * max(shares):.0f} % of their steps.",
     )
@@ -128,7 +129,7 @@ def _draw_cell(axis: Any, curves: Curves | None) -> None:
     if curves:
         metric = curves.deployed_metric
         if released := released_beside(curves):
-            draw_curves(axis, released, metric, SMOOTH, RELEASED, each=True)
+            draw_curves(axis, released, metric, in_as_many_steps(SMOOTH, curves, released), RELEASED, each=True)
         elif printed := published_beside(1, curves):
             axis.plot(training_steps(curves.env), printed.value, **PRINTED, clip_on=False)
         draw_curves(axis, curves, metric, SMOOTH, OURS, each=True)

@@ -99,8 +99,9 @@ def _paper_row(env: str, algo: str) -> Row:
     length, crossings = training_steps(env), {}
     deployed = Estimate(score.value, *score.interval)
     if released := released_curves(env, algo):
-        deployed = interval_of(released, seed_scores(released.until(length)))
-        crossings = crossing_texts(released)
+        released = released.until(length)
+        length, crossings = released.length, crossing_texts(released)
+        deployed = interval_of(released, seed_scores(released))
     return EMPTY | {
         "env": env,
         "method": algo,

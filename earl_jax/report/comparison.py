@@ -164,6 +164,8 @@ def _printed_rows(curves: Curves) -> list[Row]:
     row = _row(curves, step, seed_scores(curves), f"published {score.text}", score.sample)
     if curves.env in RECONSTRUCTED:
         row |= untested(OTHER_TASK) | {"second": "published", "other_mean": math.nan}
+    elif (released := released_beside(curves)) is not None and step < released.steps[0]:
+        row |= untested(f"not compared before step {released.steps[0]:,}, the first evaluation of the released runs")
     elif step < length:
         row |= untested(f"not compared at {share_text(step, length)} of the published steps")
     return [row]

@@ -17,7 +17,7 @@ from earl_jax.report import style
 from earl_jax.report.pooling import read_all
 from earl_jax.report.published import released_beside
 from earl_jax.report.runs import Curves, checked_labels, labels
-from earl_jax.report.scores import evenly_spaced, interval_of, require_curve, trailing
+from earl_jax.report.scores import evenly_spaced, in_as_many_steps, interval_of, require_curve, trailing
 from earl_jax.runs.files import RunWarning, require_suffix
 
 RELEASED = {"color": "0.55"}
@@ -66,8 +66,10 @@ def caption(smooth: int = 1, published: bool = False) -> str:
     text = f"Means over seeds with 95 % intervals; of fewer than {FEWEST_SEEDS} seeds, each is drawn thin instead."
     if published:
         text = "Seeds thin and their means, over the paper's released seeds, where there are any, in grey with theirs."
-    smoothing = f" Each point is the mean of the trailing {smooth} evaluations." if smooth > 1 else " No smoothing."
-    return text + smoothing
+    if smooth == 1:
+        return f"{text} No smoothing."
+    released = ", a released one of those in as many steps" if published else ""
+    return f"{text} Each point is the mean of the trailing {smooth} evaluations{released}."
 
 
 def plot_runs(
@@ -147,7 +149,7 @@ def _draw_panel(axis: Any, lines: Sequence[Line], metric: str, smooth: int, publ
     for line in lines:
         released = released_beside(line.curves) if published else None
         if released is not None and metric in released.metrics:
-            draw_curves(axis, released, metric, smooth, RELEASED, each=True)
+            draw_curves(axis, released, metric, in_as_many_steps(smooth, line.curves, released), RELEASED, each=True)
             beside = True
         draw_curves(axis, line.curves, metric, smooth, line.style, each=published or line.curves.seeds < FEWEST_SEEDS)
     axis.set(ylabel=style.AXES.get(metric, metric), xlim=(0, None))

@@ -46,14 +46,10 @@ def require_curve(curves: Curves, metric: str | None) -> None:
 def over_same_steps(runs: Sequence[Curves], step: float = math.inf) -> list[Curves]:
     """Return `runs` up to `step`, with the window that scores all of them over as many steps: the longest of theirs.
 
-    A window of `last` evaluations stays as it is.
-
     Raises:
         ValueError: a run has no evaluation up to `step`.
     """
     runs = [run.until(step) for run in runs]
-    if runs[0].window.last is not None:
-        return runs
     span = max(run.length - int(run.steps[-run.window.count(run.steps)]) for run in runs)
     window = Window(steps=span + min(spacing(run.steps) for run in runs))
     return [run._replace(window=window) for run in runs]
@@ -69,6 +65,11 @@ def trailing(curve: np.ndarray, window: int = SMOOTH) -> np.ndarray:
     window = min(window, curve.shape[-1])
     starts = [curve[..., :end].mean(axis=-1, keepdims=True) for end in range(1, window)]
     return np.concatenate([*starts, np.lib.stride_tricks.sliding_window_view(curve, window, -1).mean(axis=-1)], axis=-1)
+
+
+def in_as_many_steps(smooth: int, curves: Curves, other: Curves) -> int:
+    """Return the number of evaluations of `other` in as many steps as `smooth` evaluations of `curves` take, at least one."""
+    return max(1, round(smooth * spacing(curves.steps) / spacing(other.steps)))
 
 
 def evenly_spaced(count: int, most: int) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from earl_jax.metrics.scores import Window
 from earl_jax.report.best import best, best_text
 from earl_jax.report.comparison import compare, table_text, write_comparison
 from earl_jax.runs.files import RunWarning
@@ -47,6 +48,8 @@ def test_scores_are_means_over_the_same_steps_however_often_their_runs_were_eval
     assert {round(row[name], 9) for row in rows for name in ("mean", "other_mean")} == {0.8}
     assert {round(row["score"], 9) for row in best([tmp_path])} == {0.8}
     assert "at least 5 or the evaluations of the last 44 steps" in best_text(best([tmp_path]))
+    last = compare([tmp_path / "a", tmp_path / "b"], window=Window(last=3))
+    assert [(row["mean"], row["other_mean"]) for row in last] == [(pytest.approx(0.9), pytest.approx(0.9))]
     write_run(tmp_path / "rare" / "e", TABLETOP, "risc", np.outer([1, 1], range(3, 100, 3)) / 100, range(3, 100, 3))
     [row] = compare([tmp_path / "a", tmp_path / "rare"])
     assert (row["steps"], row["mean"], row["other_mean"]) == (90, pytest.approx(0.7), pytest.approx(0.69))
@@ -72,7 +75,9 @@ def test_p_is_adjusted_for_all_comparisons_of_a_task(folders, tmp_path):
 def test_runs_are_compared_with_the_released_ones_from_their_first_evaluation_on(folders):
     rows = compare(folders, against="published")
     assert len(rows) == 3, "before the first released evaluation there is nothing to compare"
-    assert all(math.isnan(row["p"]) and row["verdict"].startswith("not compared at 0.0") for row in rows)
+    verdict = "not compared before step 20,000, the first evaluation of the released runs"
+    assert {row["verdict"] for row in rows} == {verdict}
+    assert all(math.isnan(row["p"]) for row in rows)
 
 
 def test_what_cannot_be_compared_is_refused(folders, tmp_path):

@@ -6,6 +6,8 @@ import pytest
 from earl_jax.metrics.phase_stats import ALIVE, FORWARD
 from earl_jax.report import plots
 from earl_jax.report.plots import RELEASED, caption, plot_runs
+from earl_jax.report.published import released_curves
+from earl_jax.report.scores import trailing
 from earl_jax.report.style import COLOURS, colours, method_order, task_title
 from earl_jax.runs.files import RunWarning
 from tests.cli.process import run
@@ -161,6 +163,16 @@ def test_each_run_has_panels_over_the_released_seeds_of_the_paper(sweep, drawn):
         assert len(axis.lines) == 6 + 4
     assert texts(figure)[-1] == "Published, five seeds"
     assert "released seeds, where there are any" in caption(published=True)
+
+
+def test_released_seeds_are_smoothed_over_as_many_steps_as_ours(tmp_path, drawn):
+    write_run(tmp_path, TABLETOP, "fbrl", rising(3, 6), steps=range(30_000, 181_000, 30_000))
+    figure = drawn(tmp_path, metric="deployed/success", published=True, smooth=2)
+    [mean] = [
+        line for line in figure.axes[0].lines if line.get_color() == RELEASED["color"] and line.get_alpha() is None
+    ]
+    released = released_curves(TABLETOP, "fbrl").metrics["deployed/success"].mean(axis=0)
+    np.testing.assert_allclose(mean.get_ydata(), trailing(released, 6))
 
 
 def test_a_task_without_released_seeds_has_none_in_its_legend(tmp_path, drawn):
