@@ -10,21 +10,30 @@ from types import SimpleNamespace
 
 import pytest
 
+from earl_jax.options.environment import PYTHON
 from earl_jax.sweeps import launcher, processes
-from tests.cli.process import ENVIRONMENT, one_line, run, run_code, run_process, start, succeed, wait_until
+from tests.cli.process import ENVIRONMENT, one_line, run, run_process, start, succeed, wait_until
 from tests.conftest import write_mine
 from tests.sweeps.conftest import GRID, read_tables
 
+PLAN = """
+import sys, earl_jax.sweeps.launcher
+from earl_jax.cli import main
+main(["sweep", "/dev/stdin", "--out", "out", "--dry-run", "--import", "mine.py"])
+assert not {"jax", "numpy", "flax", "mujoco"} & set(sys.modules), sorted(sys.modules)
+"""
 
-def test_the_launcher_never_imports_jax(grid, tmp_path):
-    mine = write_mine(tmp_path)
-    grid.write_text(GRID.replace("oracle", "patient"))
-    code = (
-        "import sys, earl_jax.sweeps.launcher; from earl_jax.cli import main;"
-        f"main(['sweep', {str(grid)!r}, '--out', {str(tmp_path / 'out')!r}, '--dry-run', '--import', {str(mine)!r}]);"
-        "assert not {'jax', 'numpy', 'flax', 'mujoco'} & set(sys.modules), sorted(sys.modules)"
-    )
-    printed = run_code(code)
+
+@pytest.mark.parametrize("source", ["file", "pipe"])
+def test_a_grid_at_stdin_is_planned_without_jax_in_the_launcher_or_a_module_of_the_folder(tmp_path, source):
+    """The worker has another pipe at /dev/stdin, and used to wait for its end."""
+    write_mine(tmp_path)
+    (tmp_path / "json.py").write_text("raise RuntimeError")
+    (tmp_path / "grid.toml").write_text(GRID.replace("oracle", "patient"))
+    command = [*PYTHON, "-c", PLAN]
+    with (tmp_path / "grid.toml").open() as file:
+        given = {"stdin": file} if source == "file" else {"input": file.read()}
+        printed = subprocess.check_output(command, env=ENVIRONMENT, cwd=tmp_path, text=True, **given)
     assert "program 1: 4 lanes, steps 0 to 120, replay" in printed
     assert "2 runs, 0 of them done; programs to run: 1" in printed
     assert not (tmp_path / "out").exists()
@@ -217,20 +226,6 @@ def test_options_that_a_sweep_cannot_have_are_refused_before_anything_starts(gri
     with pytest.raises(ValueError, match=message):
         launcher.sweep(grid, tmp_path / "out", **options)
     assert not list(folder.iterdir())
-
-
-def test_a_grid_can_come_from_a_file_or_a_pipe_at_stdin(grid, tmp_path):
-    """The worker has another pipe at /dev/stdin, and used to wait for its end."""
-    command = [sys.executable, "-m", "earl_jax.cli", "sweep", "/dev/stdin", "--out", tmp_path, "--dry-run"]
-    with grid.open() as file:
-        for source in ({"stdin": file}, {"input": GRID.encode()}):
-            assert b"programs to run: 1" in subprocess.check_output(command, env=ENVIRONMENT, **source)
-
-
-def test_a_file_in_the_current_folder_replaces_no_module_of_a_worker(grid, tmp_path, monkeypatch):
-    (tmp_path / "json.py").write_text("raise RuntimeError")
-    monkeypatch.chdir(tmp_path)
-    assert len(launcher.plan_sweep(grid, tmp_path / "out")["groups"]) == 1
 
 
 def test_a_dry_run_refuses_what_the_sweep_refuses(grid, tmp_path):
