@@ -84,10 +84,10 @@ def test_batches_are_trained_through_the_rungs_and_halved(space, tmp_path, batch
 @pytest.mark.parametrize("sampler", ["tpe", "random", "qmc"])
 def test_a_search_that_is_killed_ends_as_one_that_is_not(space, tmp_path, batches, monkeypatch, sampler):
     space.write_text(f"sampler = '{sampler}'\n" + SPACE)
-    arguments = {"batch": 4, "rungs": 2, "emit": lambda line: None}
-    whole = search(space, tmp_path / "whole", trials=8, **arguments)
+    arguments = {"batch": 2, "rungs": 2, "emit": lambda line: None}
+    whole = search(space, tmp_path / "whole", trials=4, **arguments)
     discounts = {trial.options["discount"] for trial in whole}
-    assert len(discounts) == 8
+    assert len(discounts) == 4
     assert discounts == {float(f"{discount:.4g}") for discount in discounts}
     train, calls = module.work, []
 
@@ -99,19 +99,19 @@ def test_a_search_that_is_killed_ends_as_one_that_is_not(space, tmp_path, batche
 
     monkeypatch.setattr(module, "work", killed)
     with pytest.raises(KeyboardInterrupt):
-        search(space, tmp_path / "out", trials=4, **arguments)
+        search(space, tmp_path / "out", trials=2, **arguments)
     (tmp_path / "out/search.journal.lock").symlink_to("search.journal")  # as a kill can leave it
-    assert search(space, tmp_path / "out", trials=8, **arguments) == whole
+    assert search(space, tmp_path / "out", trials=4, **arguments) == whole
     (tmp_path / "other.toml").write_text(space.read_text().replace("0.99]", "0.9]"))
     differences = r"options\.discount FloatD.*=0.99, .* there, FloatD.*=0.9, .* here; rungs \(80, 120\) there, \(40, 8"
     with pytest.raises(ValueError, match=rf"search\.journal is of a search that differs \({differences}"):
-        search(tmp_path / "other.toml", tmp_path / "out", trials=8, **{**arguments, "rungs": 3})
+        search(tmp_path / "other.toml", tmp_path / "out", trials=4, **{**arguments, "rungs": 3})
     journal = tmp_path / "out/search.journal"
     journal.write_text(re.sub(r'"search": ?\{.*?\}', '"search": "text"', journal.read_text()))
     with pytest.raises(ValueError, match=r"search\.journal was begun by another version of earl_jax"):
-        search(space, tmp_path / "out", trials=8, **arguments)
-    others = search(space, tmp_path / "other", trials=4, seed=1, **arguments)
-    assert [trial.options for trial in others] != [trial.options for trial in whole[:4]]
+        search(space, tmp_path / "out", trials=4, **arguments)
+    others = search(space, tmp_path / "other", trials=2, seed=1, **arguments)
+    assert [trial.options for trial in others] != [trial.options for trial in whole[:2]]
 
 
 def test_a_run_that_fails_is_named_and_its_score_is_not_used(space, tmp_path, batches, monkeypatch):
