@@ -68,4 +68,4 @@ def read_csv(path):
 
 def count_pixels(picture, colour):
     """Return the number of pixels of a picture that have `colour`."""
-    return int((np.abs(imread(picture)[..., :3] - to_rgb(colour)).max(axis=-1) < 0.01).sum())
+    return int((np.abs(imread(picture)[..., :3] - to_rgb(colour)) < 0.01).all(axis=-1).sum())
