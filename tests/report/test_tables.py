@@ -8,7 +8,7 @@ from earl_jax.metrics.phase_stats import ALIVE, BACK, STILL
 from earl_jax.metrics.scores import SUCCESS, Window
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
-from tests.cli.process import one_line, run, succeed
+from tests.cli.process import one_line, run, succeed, unchanged
 from tests.report.run_files import TABLETOP, constant, read_csv, write_run
 
 REWARDS = {"continuing/reward": 0.0, "continuing/recent": 0.0}
@@ -139,9 +139,8 @@ def test_the_command_takes_a_metric_and_labels_and_a_folder_of_runs(tmp_path):
     assert r"ten & 2 & 30 & 0.015 \\" in (tmp_path / "t.tex").read_text()
     assert "replaced" in run("table", tmp_path / "runs", "--out", tmp_path / "t.tex")[2]
     data = next(tmp_path.glob("runs/**/metrics.csv"))
-    before = data.read_bytes()
-    assert "is a file of a run; choose another name" in run("table", tmp_path / "runs", "--out", data)[2]
-    assert data.read_bytes() == before
+    with unchanged(tmp_path / "runs"):
+        assert "is a file of a run; choose another name" in run("table", tmp_path / "runs", "--out", data)[2]
     (tmp_path / "folder.md").mkdir()
     for command in (("table", tmp_path / "runs"), ("demos", "tabletop_organization")):
         one_line(run(*command, "--out", tmp_path / "folder.md"), "folder.md is a folder; choose the name of a file")

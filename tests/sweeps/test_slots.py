@@ -1,14 +1,11 @@
 """The slots of workers: visible GPUs, an even share of cores and memory for each, and how many are measured to gain."""
 
 import sys
-from pathlib import Path
 
 import pytest
 
+from benchmarks.output import RESULTS, read_csv
 from earl_jax.sweeps import slots
-from tests.report.run_files import read_csv
-
-RESULTS = Path(__file__).parents[2] / "benchmarks/results/per_device"
 
 
 @pytest.mark.parametrize(
@@ -127,7 +124,7 @@ def test_auto_takes_the_largest_gain_for_the_cores(monkeypatch):
 
 def test_the_table_of_auto_is_the_committed_measurement():
     measured = {}
-    for row in (row for path in RESULTS.glob("*.csv") for row in read_csv(path) if row["programs"] != "1"):
+    for row in (row for path in RESULTS.glob("per_device/*.csv") for row in read_csv(path) if row["programs"] != "1"):
         key = int(row["programs"]), int(row["cores_each"])
         measured.setdefault(row["env"], {})[key] = float(row["wall_gain"])
     assert measured == slots.GAINS
