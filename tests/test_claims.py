@@ -11,7 +11,6 @@ import re
 from bisect import bisect_left
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -60,24 +59,19 @@ def occurs(match: re.Match[str], sources: set[Path]) -> bool:
     return False
 
 
-def paragraphs(text: str) -> Iterator[Any]:
+def paragraphs(text: str) -> Iterator[tuple[int, int, str, str]]:
     """Yield line, level of a heading just above (0 without one), text, and named sources of every paragraph."""
     for left_out in (WRITTEN, FENCE):
         text = left_out.sub(lambda match: re.sub(r"[^\n]+", "<!-- -->", match[0]), text)
-    level, waiting = 1, ()
+    text = re.sub(r"^$(?=\n<!--)", "<!-- -->", text, flags=re.MULTILINE)  # a comment belongs to the paragraph before it
+    level = 1
     for match in re.finditer(r"(?:[^\n]*\S[^\n]*\n?)+", text):
         for heading in re.findall(r"^(#+) ", match[0], flags=re.MULTILINE):
             level = len(heading)
         prose = re.sub(r"^#+ .*$", "", COMMENT.sub("", match[0]), flags=re.MULTILINE)
-        names = " ".join(FROM.findall(match[0]))
         if prose.strip():
-            if waiting:
-                yield waiting
-            waiting, level = (text.count("\n", 0, match.start()) + 1, level, prose, names), 0
-        elif waiting:
-            waiting = *waiting[:3], f"{waiting[3]} {names}"
-    if waiting:
-        yield waiting
+            yield text.count("\n", 0, match.start()) + 1, level, prose, " ".join(FROM.findall(match[0]))
+            level = 0
 
 
 def faults(page: Path) -> list[str]:
