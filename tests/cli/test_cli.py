@@ -66,10 +66,6 @@ def test_seeds_with_values_of_their_own_have_a_score_each(tmp_path):
     assert evaluated.count("\nthe run: fbrl (learning_rate=") == 2
 
 
-def test_a_folder_of_runs_is_told_from_a_run(finished):
-    assert run("show", finished.parent)[2].endswith(f"can be read; did you mean {finished}?\n")
-
-
 def test_killed_run_resumes_bit_identically(finished, tmp_path):
     folder = tmp_path / "killed"
     process = start(*training(folder))

@@ -100,6 +100,7 @@ def set_entry(folder, key, text):
 IGNORED = {
     "checkpoint named in Arabic digits": lambda folder: (folder / "checkpoints/٠٠٠٠٠٠٩٩٩").mkdir(parents=True),
     "checkpoint named by a short number": lambda folder: (folder / "checkpoints/999").mkdir(parents=True),
+    "checkpoint that is a link": lambda folder: (folder / "checkpoints/000000999").symlink_to("000000120"),
     "checkpoint that is a file": lambda folder: (folder / "checkpoints/000000999").write_text("x"),
 }
 """Entries that no command takes for a checkpoint."""
