@@ -36,18 +36,14 @@ def test_a_row_summarises_the_curves(tmp_path):
     assert tables.tabulate([folder], Window(last=1))[0]["deployed"] == pytest.approx(1.05)
 
 
-def test_a_run_without_the_rewards_since_an_evaluation_has_a_row_without_steps_per_reward(tmp_path):
-    run = write_run(tmp_path, TABLETOP, "naive", constant(1.0), metrics={"continuing/reward": 0.01})
-    [row] = tables.tabulate([run])
-    assert (row["continuing"], row["steps_per_reward"]) == (0.01, None)
-
-
 @pytest.mark.parametrize(
-    ("rates", "steps"), [((0.02, 0.0005, 0.0004), 2_000), ((0.02, 0.01, 0.0), 100), ((0.02, 0.0), None)]
+    ("rates", "steps"), [((0.02, 0.0005, 0.0004), 2_000), ((0.02, 0.01, 0.0), 100), ((0.02, 0.0), None), ((), None)]
 )
-def test_steps_per_reward_are_the_median_of_all_seeds_and_none_where_it_is_infinite(tmp_path, rates, steps):
-    metrics = {"continuing/reward": 0.0, "continuing/recent": constant(*rates)}
-    rows = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", constant(*rates), metrics=metrics)])
+def test_steps_per_reward_are_the_median_of_all_seeds_and_none_where_it_is_infinite_or_unknown(tmp_path, rates, steps):
+    recent = {"continuing/recent": constant(*rates)} if rates else {}
+    metrics = {"continuing/reward": 0.01, **recent}
+    rows = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", constant(*rates or (1.0,)), metrics=metrics)])
+    assert rows[0]["continuing"] == 0.01
     assert rows[0]["steps_per_reward"] == (steps and pytest.approx(steps))
     assert ("| - |\n" in tables.run_table(rows).text()) == (steps is None)
 
