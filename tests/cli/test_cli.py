@@ -75,9 +75,10 @@ def test_killed_run_resumes_bit_identically(finished, tmp_path):
     assert process.returncode == -signal.SIGKILL
     assert (folder / "metrics.csv").read_text() != (finished / "metrics.csv").read_text()
     succeed("resume", folder)
-    assert (folder / "metrics.csv").read_bytes() == (finished / "metrics.csv").read_bytes()
+    for name in ("metrics.csv", "policies.npz"):
+        assert (folder / name).read_bytes() == (finished / name).read_bytes()
     assert [newest(path / "checkpoints") for path in (folder, finished)] == [120, 120]
-    evaluations = [succeed("evaluate", path, "--episodes", "5", "--json") for path in (folder, finished)]
+    evaluations = [succeed("evaluate", path, "--episodes", "2", "--json") for path in (folder, finished)]
     assert evaluations[0] == evaluations[1]
     assert len(json.loads(evaluations[0])["deployed/success"]) == 2
 
@@ -131,7 +132,6 @@ def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeyp
         ([*TRAIN, "--learning-rate=1e-3"], ["--learning-rate is an option", "--set learning_rate=VALUE"]),
         ([*TRAIN, "--reward-type", "dense"], ["--set reward_type=VALUE"]),
         (["resume", "nowhere"], ["not a run folder", "config.json"]),
-        (SWEEP, ["nowhere.toml can't be read"]),
         ([*SWEEP, "--launcher", "cloud"], ["cloud", "local", "slurm"]),
         ([*SWEEP, "--launcher", "slurm", "--slurm", "time", "--slurm", "mem=4G"], ["name=value"]),
         (["compare", ".", "--out", "a.png", "b.docx"], ["b.docx: comparisons are written as .md,"]),

@@ -228,5 +228,11 @@ def test_options_that_a_sweep_cannot_have_are_refused_before_anything_starts(gri
     assert not list(folder.iterdir())
 
 
+def test_a_grid_that_the_planner_refuses_is_refused_in_its_words(grid, tmp_path, monkeypatch):
+    refuse = "from earl_jax.sweeps.processes import report; report(state='refused', detail='why')"
+    monkeypatch.setattr(processes, "WORKER", [sys.executable, "-c", refuse])
+    one_line(run("sweep", grid, "--out", tmp_path / "out"), "earl-jax: why")
+
+
 def test_a_dry_run_refuses_what_the_sweep_refuses(grid, tmp_path):
     one_line(run("sweep", grid, "--out", tmp_path / "out", "--dry-run", "--per-device", "0"), "must be auto")

@@ -65,6 +65,7 @@ def test_the_replay_of_a_program_is_that_of_all_its_lanes(tmp_path, grid, proble
         (("batch_size", "bath_size"), "tabletop_organization/oracle/bath_size=16,.* 'bath_size'; did you mean batch_size"),
         (("steps = 120", "steps = 100"), "steps 100 is not a multiple of eval_every 40"),
         (('tabletop_organization"]\nalgos = ["oracle', 'fish_swim"]\nalgos = ["vaprl'), "vaprl needs demonstrations"),
+        ({"grid": "nowhere.toml"}, "nowhere.toml can't be read"),
         ({"max_lanes": 1}, "has 2 seeds, more than 1 lane;"),
         ({"logs": ["tensorbord"]}, r"unknown log 'tensorbord'; did you mean 'tensorboard'\? Choose from tensorboard, wandb"),
         ({"logs": "wandb"}, "logs must be a list"),
