@@ -67,7 +67,7 @@ def test_lanes_are_saved_in_separate_folders_and_restored_together_but_not_as_ot
     assert_equal_trees(restored.replay.index, state.replay.index)
     one_lane = jax.eval_shape(lambda: make_train_state(problem, tiny_method("fbrl", lanes=1), [1]))
     assert_equal_trees(checkpoint.restore(two_folders[1], one_lane).lanes, take_lane(state.lanes, slice(1, None)))
-    other = make_train_state(problem, tiny_method("fbrl", hidden_sizes=[8]), [0, 1])
+    other = jax.eval_shape(lambda: make_train_state(problem, tiny_method("fbrl", hidden_sizes=[8]), [0, 1]))
     for sizes, like in (([2, 1], state), ([1, 1], other)):
         with pytest.raises(ValueError, match="does not belong to this run"):
             checkpoint.restore_together(two_folders, sizes, like)
