@@ -33,7 +33,7 @@ def test_a_grid_at_stdin_is_planned_without_jax_in_the_launcher_or_a_module_of_t
     command = [*PYTHON, "-c", PLAN]
     with (tmp_path / "grid.toml").open() as file:
         given = {"stdin": file} if source == "file" else {"input": file.read()}
-        printed = subprocess.check_output(command, env=ENVIRONMENT, cwd=tmp_path, text=True, **given)
+        printed = subprocess.check_output(command, env=ENVIRONMENT, cwd=tmp_path, text=True, timeout=300, **given)
     assert "program 1: 4 lanes, steps 0 to 120, replay" in printed
     assert "2 runs, 0 of them done; programs to run: 1" in printed
     assert not (tmp_path / "out").exists()
