@@ -103,13 +103,11 @@ def test_export_writes_the_life_of_a_seed_as_a_minari_dataset(finished, tmp_path
     one_line(run("export", TASK, "--seed", "1"), "leave out --seed")
 
 
-def show_warning(message, category, *location):
-    """Write a warning to stderr, as Python does and pytest does not."""
-    sys.stderr.write(warnings.formatwarning(message, category, *location[:2]))
-
-
 def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeypatch):
-    monkeypatch.setattr(warnings, "showwarning", show_warning)
+    def show(message, category, *location):  # to stderr, as Python does and pytest does not
+        sys.stderr.write(warnings.formatwarning(message, category, *location[:2]))
+
+    monkeypatch.setattr(warnings, "showwarning", show)
     folder = shutil.copytree(finished, tmp_path / "damaged")
     for path in (folder / "checkpoints/000000120").rglob("*.npz"):
         path.write_bytes(path.read_bytes()[:-7])
