@@ -107,15 +107,6 @@ def test_seeds_of_a_side_are_pooled_at_equal_steps(tmp_path, compared):
     assert [own["p_holm"], pooled["p_holm"]] == pytest.approx(holm([own["p"], pooled["p"]]))
 
 
-def test_two_runs_of_a_seed_count_as_one_with_their_mean(tmp_path, compared):
-    first, again, norm = (f"{pairs.PEG}/oracle{name}" for name in ("", "/commit_1", "/layer_norm"))
-    write_run(tmp_path / first, pairs.PEG, "oracle", constant(0, 0.2, 0.4))
-    write_run(tmp_path / again, pairs.PEG, "oracle", constant(0.6, 0.2, 0), seeds=range(1, 4))
-    write_run(tmp_path / norm, pairs.PEG, "oracle", constant(0, 1), layer_norm=True)
-    [row] = compared(pairs.Pair((first, again), (norm,)))
-    assert (row["seeds"], row["mean"]) == (4, pytest.approx((0 + 0.4 + 0.3 + 0) / 4))
-
-
 def test_the_test_with_the_released_runs_is_no_part_of_the_family_of_ours(tmp_path, compared):
     own, other = (f"{DOOR}/naive",), (f"{DOOR}/naive/other",)
     for [name], options in ((own, {}), (other, {"discount": 0.9})):
