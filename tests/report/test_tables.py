@@ -37,12 +37,21 @@ def test_a_row_summarises_the_curves(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("rates", "steps"), [((0.02, 0.0005, 0.0004), 2_000), ((0.02, 0.01, 0.0), 100), ((0.02, 0.0), None), ((), None)]
+    ("rates", "reward_type", "steps"),
+    [
+        ((0.02, 0.0005, 0.0004), "sparse", 2_000),
+        ((0.02, 0.01, 0.0), "sparse", 100),
+        ((0.02, 0.0), "sparse", None),
+        ((0.02, 0.01), "dense", None),
+        ((), "sparse", None),
+    ],
 )
-def test_steps_per_reward_are_the_median_of_all_seeds_and_none_where_it_is_infinite_or_unknown(tmp_path, rates, steps):
+def test_steps_per_reward_are_the_median_of_all_seeds_and_none_where_it_is_infinite_or_unknown(
+    tmp_path, rates, reward_type, steps
+):
     recent = {"continuing/recent": constant(*rates)} if rates else {}
-    metrics = {"continuing/reward": 0.01, **recent}
-    rows = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", constant(*rates or (1.0,)), metrics=metrics)])
+    options = {"metrics": {"continuing/reward": 0.01, **recent}, "env_options": {"reward_type": reward_type}}
+    rows = tables.tabulate([write_run(tmp_path, TABLETOP, "naive", constant(*rates or (1.0,)), **options)])
     assert rows[0]["continuing"] == 0.01
     assert rows[0]["steps_per_reward"] == (steps and pytest.approx(steps))
     assert ("| - |\n" in tables.run_table(rows).text()) == (steps is None)
