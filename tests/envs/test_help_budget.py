@@ -13,6 +13,7 @@ from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem
 from tests.conftest import assert_all_finite, assert_equal_trees, make_train_state, take_lane, tiny_method
 from tests.envs.chain import Chain
+from tests.envs.programs import run_alone
 
 LEFT, RIGHT, HELP = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]], np.float32)
 
@@ -26,14 +27,9 @@ def start_state(env, asked=0):
 
 def run_actions(env, actions, asked=0):
     """Return the states [T + 1] before and after every one of the `actions [T, a]`, from `start_state`."""
-
-    @jax.jit
-    def run(actions, asked):
-        first = start_state(env, asked)
-        _, rest = jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, first, actions)
-        return jax.tree.map(lambda leaf, more: jnp.concatenate([jnp.asarray(leaf)[None], more]), first, rest)
-
-    return jax.device_get(run(np.asarray(actions), asked))
+    first = jax.jit(start_state, static_argnums=0)(env, asked)
+    rest = run_alone(env, first, actions)
+    return jax.tree.map(lambda leaf, later: np.concatenate([np.asarray(leaf)[None], later]), first, rest)
 
 
 @pytest.mark.parametrize(("budget", "cost", "last"), [(3.0, 1.0, 12), (2.5, 1.0, 12), (1.0, 0.25, 16), (1.0, 0.0, 99)])
