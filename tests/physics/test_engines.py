@@ -19,11 +19,9 @@ SAWYER = "sawyer_door", "sawyer_peg"
 NEEDS_WARP = pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="earl-jax[warp] is not installed")
 FREE_STEPS = 5
 """Control steps of a demonstration in which nothing touches the hand."""
-FAST_TO_COMPILE = {"xla_backend_optimization_level": 0}
-"""For MJX, whose programs compile for half a minute; the door's is compiled with the suite's own options."""
 
 
-def play(name, env, states, actions, observe):
+def play(env, states, actions, observe):
     """Return what `observe` takes from the states [lanes, T, ...] of `env` under `actions [lanes, T, a]`."""
 
     def step(state, action):
@@ -31,8 +29,7 @@ def play(name, env, states, actions, observe):
         return state, observe(state)
 
     lanes = jax.vmap(lambda state, actions: jax.lax.scan(step, state, actions)[1])
-    fast = env.engine == "mjx" and name != "sawyer_door"
-    return np.asarray(jax.jit(lanes, compiler_options=FAST_TO_COMPILE if fast else {})(states, actions))
+    return np.asarray(jax.jit(lanes)(states, actions))
 
 
 def observe_demonstrations(name, engine, steps, episodes=2):
@@ -41,7 +38,7 @@ def observe_demonstrations(name, engine, steps, episodes=2):
     firsts = np.append(0, np.flatnonzero(demos.ends) + 1)[:episodes]
     actions = np.stack([demos.actions[first : first + steps] for first in firsts])
     states = jax.jit(jax.vmap(env.demonstrations.state_at))(demos.states[firsts], demos.goals[firsts])
-    return play(name, env, states, actions, lambda state: state.obs[:7])
+    return play(env, states, actions, lambda state: state.obs[:7])
 
 
 NEEDS_ACCELERATOR = [pytest.mark.gpu, pytest.mark.skipif(jax.default_backend() == "cpu", reason="needs an accelerator")]
@@ -78,7 +75,7 @@ def joint_positions(name, engine, lanes=2):
     env = make(name, engine=engine)
     time, number = np.arange(STEPS)[:, None], np.arange(env.action_size)
     actions = np.float32(0.8 * np.sin(0.2 * time * (1 + 0.2 * number) + number))
-    return play(name, env, starts(env, count=lanes), np.stack([actions] * lanes), lambda state: state.data.qpos)
+    return play(env, starts(env, count=lanes), np.stack([actions] * lanes), lambda state: state.data.qpos)
 
 
 @pytest.mark.parametrize(
