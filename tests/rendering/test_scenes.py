@@ -13,16 +13,17 @@ from earl_jax.physics import mujoco_data
 from earl_jax.rendering import scenes
 from earl_jax.rendering.scenes import Scene
 from tests.envs.chain import Chain
+from tests.envs.programs import first_state, program
 
 SMALL = (64, 96)
 
 
 def test_images_show_the_state_and_the_goal(graphics, env):
-    start = env.reset(jax.random.key(0))
+    start = first_state(env)
     moved = start.replace(data=start.data.replace(qpos=start.data.qpos + 1.0))
     other_goal = env.with_goal(start, jnp.asarray(env.goal_states[0]))
     helped_env = HelpBudget(env, budget=3.0)
-    helped = helped_env.reset(jax.random.key(0))
+    helped = first_state(helped_env)
     with Scene(env, SMALL) as scene, Scene(helped_env, SMALL) as helped_scene:
         image = scene.image(start)
         assert (image.shape, image.dtype) == ((*SMALL, 3), np.uint8)
@@ -54,7 +55,7 @@ def test_unknown_cameras_and_sizes_and_tasks_without_pictures_are_refused(graphi
 )
 def test_goal_markers_are_at_the_goal(name, site):
     env = make(name)
-    state = env.reset(jax.random.key(3))
+    state = program(env, "reset")(jax.random.key(3))
     data = mujoco_data(env.view.model, env.view.render_goal(state))
     np.testing.assert_allclose(data.site(site).xpos, state.info["goal"][-3:], atol=2e-4)
 
