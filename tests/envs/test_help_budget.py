@@ -219,16 +219,13 @@ def test_without_help_an_agent_falls_once_its_requests_move_like_other_actions_a
     assert without_budget(helped) is without_budget(chain) is without_help(chain) is chain
     env = without_help(helped)
     assert (env.observation_size, env.action_size) == (helped.observation_size, helped.action_size)
-    state = env.with_goal(env.reset(jax.random.key(0)), jnp.array([3.0]))
-    positions = []
-    for action in (HELP, RIGHT, HELP, RIGHT):
-        state = env.step(state, action)
-        positions.append(float(state.obs[0]))
-        assert (float(state.obs[1]), float(state.done), int(state.info["asked"] + state.info["enforced"])) == (1, 0, 0)
-    assert positions == [2, 3, 4, 4]
+    states = run_actions(env, [HELP, RIGHT, HELP, RIGHT])
+    assert states.obs[:, 0].tolist() == [1, 2, 3, 4, 4]
+    assert states.obs[:, 1].tolist() == [1] * 5
+    for unchanged in (states.done, states.info["asked"], states.info["enforced"]):
+        assert not unchanged.any()
     env = without_help(HelpBudget(Chain(fragile=True), budget=2.0))
-    state = env.step(env.reset(jax.random.key(0)), jnp.array([-1.0, -1.0]))
-    assert env.fault(state)
+    assert env.fault(take_lane(run_actions(env, [LEFT]), 1))
 
 
 def test_episodes_of_the_adapters_have_the_spaces_of_the_lifetime_and_no_help():
