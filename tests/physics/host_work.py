@@ -7,7 +7,7 @@ import numpy as np
 
 from earl_jax.physics.host_call.workers import DEPTH, SPAN, Workers
 
-DEADLINE_S = 20
+DEADLINE_S = 60
 
 
 def double(rows):
