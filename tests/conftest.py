@@ -53,13 +53,6 @@ TINY = {"hidden_sizes": [16], "batch_size": 16, "random_steps": 20}
 RUN_STEPS = 120
 """The length of the tiny runs, which is part of the shapes of their programs: one length, one program a method."""
 TINY_RUN = {"seeds": 2, "steps": RUN_STEPS, "eval_every": 40, "eval_episodes": 2}
-LONGEST = [
-    "physics/test_engines.py", "training/test_api.py", "training/test_loop.py", "paper/test_reproduce.py",
-    "training/test_mjx.py", "cli/test_cli.py", "training/test_rules.py", "algos/learner/test_sac.py",
-    "training/test_resume.py", "sweeps/test_worker.py", "training/test_program_cache.py",
-    "training/test_lifetime.py", "sweeps/test_launcher.py", "adapters/test_gymnasium.py", "runs/test_checkpoint.py",
-]  # fmt: skip
-"""The files that take longest, relative to this folder; those that compile programs of others stand before them."""
 CHUNK = 20
 """Steps of the programs that tests share; VaPRL refreshes as often."""
 ALGOS = ["fbrl", "naive", "oracle", "r3l", "vaprl"]
@@ -96,7 +89,6 @@ def pytest_configure(config):
     metadata.entry_points = lambda **group: search(tuple(sys.path), **group)  # it reads the metadata of every package
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections took a third of its time
-    config.option.loadscopereorder = False  # pytest-xdist would start with the files of most tests
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)  # also for the other workers
 
@@ -108,12 +100,6 @@ def pytest_collection():
     with (CACHE.parent / "collection.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         return (yield)
-
-
-def pytest_collection_modifyitems(items):
-    """Put the longest files first, so that the workers end together."""
-    ranks = {TESTS / name: rank for rank, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
 
 
 @contextlib.contextmanager
