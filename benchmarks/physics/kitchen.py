@@ -19,6 +19,7 @@ NEARLY = 0.03
 """Remaining distance (rad, m) at which a script's object counts as moved."""
 BACK = 0.1
 """Position along y to which the hand withdraws, in metres."""
+STEPS = 240
 
 
 class Script(NamedTuple):
@@ -28,7 +29,6 @@ class Script(NamedTuple):
     index: int
     start: float
     goal: float
-    steps: int = 240
 
 
 SCRIPTS = {
@@ -73,7 +73,7 @@ def act(script: Script, state: State, stage: jax.Array) -> tuple[jax.Array, jax.
     stage = jnp.where(
         jnp.linalg.norm(waypoints[stage] - mocap) < 2e-3, jnp.minimum(stage + 1, len(waypoints) - 1), stage
     )
-    left = (script.goal - kitchen_reward.observed(state.data.qpos)[script.index]) * np.sign(script.goal - script.start)
+    left = (script.goal - kitchen_reward.observed(state.data.qpos)[script.index]) * jnp.sign(script.goal - script.start)
     target = jnp.where(left < NEARLY, jnp.minimum(mocap, jnp.array([np.inf, BACK, np.inf])), waypoints[stage])
     return jnp.append(jnp.clip((target - mocap) / REACH, -1.0, 1.0), jnp.zeros(6)), stage
 
@@ -87,20 +87,32 @@ def play(env: FrankaKitchen, script: Script) -> tuple[jax.Array, State]:
         return (state, stage), kitchen_reward.observed(state.data.qpos)[script.index]
 
     first = (start_state(env, script), jnp.zeros((), jnp.int32))
-    (state, _), moved = jax.lax.scan(step, first, length=script.steps)
+    (state, _), moved = jax.lax.scan(step, first, length=STEPS)
     return moved, state
+
+
+def play_all(env: FrankaKitchen) -> tuple[jax.Array, State]:
+    """Return the positions [scripts, T] and the last states of `play` for all `SCRIPTS`, from one program."""
+    longest = max(len(script.waypoints) for script in SCRIPTS.values())
+    padded = [
+        script._replace(waypoints=np.pad(script.waypoints, ((0, longest - len(script.waypoints)), (0, 0)), "edge"))
+        for script in SCRIPTS.values()
+    ]
+    scripts = jax.tree.map(lambda *fields: np.stack(fields), *padded)
+    return jax.jit(jax.vmap(lambda script: play(env, script)))(scripts)
 
 
 def scripts() -> list[dict[str, Any]]:
     """Return one row per script, on engine c: the final position of its object, and the distance to its goal."""
     env, rows = make("franka_kitchen", engine="c"), []
-    for name, script in SCRIPTS.items():
-        moved, state = jax.jit(lambda script=script: play(env, script))()
-        end = float(moved[-1])
+    moved, states = play_all(env)
+    faults = jax.vmap(env.fault)(states)
+    for (name, script), positions, fault in zip(SCRIPTS.items(), moved, faults, strict=True):
+        end = float(positions[-1])
         rows.append(
             {
                 "script": name, "start": script.start, "goal": script.goal, "end": round(end, 4),
-                "error": round(abs(end - script.goal), 4), "steps": script.steps, "fault": bool(env.fault(state)),
+                "error": round(abs(end - script.goal), 4), "steps": STEPS, "fault": bool(fault),
             }
         )  # fmt: skip
         print(json.dumps(rows[-1]), flush=True)
