@@ -32,10 +32,10 @@ def play(env, states, actions, observe):
     return np.asarray(jax.jit(lanes)(states, actions))
 
 
-def observe_demonstrations(name, engine, steps, episodes=2):
-    """Return the observed states [episodes, steps, 7] when `engine` plays the first shipped demonstrations."""
+def observe_demonstrations(name, engine, steps):
+    """Return the observed states [2, steps, 7] when `engine` plays the first two shipped demonstrations."""
     env, demos = make(name, engine=engine), assets.demos(name, "forward")
-    firsts = np.append(0, np.flatnonzero(demos.ends) + 1)[:episodes]
+    firsts = np.append(0, np.flatnonzero(demos.ends) + 1)[:2]
     actions = np.stack([demos.actions[first : first + steps] for first in firsts])
     states = jax.jit(jax.vmap(env.demonstrations.state_at))(demos.states[firsts], demos.goals[firsts])
     return play(env, states, actions, lambda state: state.obs[:7])
@@ -70,12 +70,12 @@ EARLY_STEPS, EARLY_TOLERANCE = 5, 1e-3
 STEPS = 15
 
 
-def joint_positions(name, engine, lanes=2):
-    """Return joint positions [lanes, STEPS, nq] under slow sines, with a phase and a speed for each action."""
+def joint_positions(name, engine):
+    """Return joint positions [2, STEPS, nq] under slow sines, with a phase and a speed for each action."""
     env = make(name, engine=engine)
     time, number = np.arange(STEPS)[:, None], np.arange(env.action_size)
     actions = np.float32(0.8 * np.sin(0.2 * time * (1 + 0.2 * number) + number))
-    return play(env, starts(env, count=lanes), np.stack([actions] * lanes), lambda state: state.data.qpos)
+    return play(env, starts(env, count=2), np.stack([actions] * 2), lambda state: state.data.qpos)
 
 
 @pytest.mark.parametrize(
