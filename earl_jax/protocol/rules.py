@@ -66,8 +66,8 @@ class StepEnd(NamedTuple):
 
     `phase_ended`: the attempt's goal was `reached`, or it hit a `timeout`. `passed`: the state is at the goal of an attempt
     that success does not end. `fault`: the simulation broke, and the step is discarded. `goal_changes`: the environment
-    sets another goal. `task_restarts`: the next attempt is at the task, after an intervention or a goal change.
-    `env_reset`: the environment is reset to s0 ~ rho, which nothing does once the life has ended.
+    sets another goal. `task_restarts`: the next attempt is at the task, after an intervention or a goal change that ended
+    one. `env_reset`: the environment is reset to s0 ~ rho, which nothing does once the life has ended.
     """
 
     fault: jax.Array
@@ -94,14 +94,14 @@ def advance_rules(
     reached = success & attempt.ends_on_success
     intervened = rules.intervened(step, key) | fault
     goal_changes = _every(step, rules.goal_change)
-    task_restarts = intervened | (goal_changes & attempt.is_task)
-    expired = attempt.expires | task_restarts
-    phase_ended = reached | expired
+    over = reached | attempt.expires
+    task_restarts = intervened | (goal_changes & attempt.is_task & ~over)
+    phase_ended = over | task_restarts
     return StepEnd(
         fault=fault,
         reached=reached,
         passed=success & ~reached,
-        timeout=expired & ~reached,
+        timeout=phase_ended & ~reached,
         phase_ended=phase_ended,
         goal_changes=goal_changes,
         task_restarts=task_restarts,
@@ -124,9 +124,10 @@ def count_step(
 ) -> Counters:
     """Return the counters after step number `step`, counted from 1, which led to `env_state` and ended as `end`.
 
-    `earned []` is its reward for the task goal, which does not count after a fault.
+    `earned []` is its reward for the task goal, which does not count after a fault. No phase ends once the life is over.
     """
-    ended, at_goal = end.phase_ended & attempt.has_goal, (end.reached | end.passed) & attempt.has_goal
+    ended = end.phase_ended & attempt.has_goal & (env_state.done == 0)
+    at_goal = (end.reached | end.passed) & attempt.has_goal
     phases = advance_phase_stats(counters.phases, env, env_state, attempt.is_task, ended, at_goal, step, attempt.age)
     return counters.replace(
         window_reward=counters.window_reward + jnp.where(end.fault, 0.0, earned),

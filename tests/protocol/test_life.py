@@ -165,6 +165,7 @@ def test_a_spent_budget_ends_a_life_and_not_its_evaluation():
     lives, results = live(env, Protocol(1, 4), np.broadcast_to(help_, (3, 1, 2)))
     np.testing.assert_array_equal(results.terminated[:, 0], [False, True, True])
     assert lives.counters.interventions[:, 0].tolist() == [1, 1, 1], "what has ended is not reset"
+    assert lives.counters.phases.ended[:, 0, 0].tolist() == [1, 1, 1], "nor do attempts end in it"
     np.testing.assert_array_equal(lives.has_ended, results.terminated)
     ended = jax.tree.map(lambda leaf: leaf[-1, 0], lives)
     assert int(jax.jit(intervene, static_argnums=0)(env, ended).counters.interventions) == 1

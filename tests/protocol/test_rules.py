@@ -80,6 +80,8 @@ def test_a_goal_change_ends_an_attempt_at_the_task_and_not_a_return():
     rules, returning = NEVER._replace(goal_change=5), TASK._replace(is_task=False)
     assert step_end(state_at(1), TASK, rules, 4) == set()
     assert step_end(state_at(1), TASK, rules, 5) == {"goal_changes", "timeout", "phase_ended", "task_restarts"}
+    assert step_end(state_at(1), TASK._replace(expires=True), rules, 5) == {"goal_changes", "timeout", "phase_ended"}
+    assert step_end(state_at(GOAL), TASK, rules, 5) == {"goal_changes", "reached", "phase_ended"}
     assert step_end(state_at(1), returning, rules, 5) == {"goal_changes"}
     assert step_end(state_at(GOAL), returning, rules, 5) == {"goal_changes", "reached", "phase_ended"}
 
