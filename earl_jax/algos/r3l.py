@@ -39,9 +39,9 @@ class R3L(Method):
     Alternate the task controller with a controller that seeks novel states (RND) for H_E steps and never ends early.
 
     Source: Zhu et al. 2020, as run by Sharma et al. 2022 with the true reward and no classifier. Novelty is the
-    prediction error on the state without the goal, divided by an exponential average of its own standard deviation, as
-    in the authors' released code. The predictor has the paper's shared learning rate. The perturbation controller
-    receives no demonstrations.
+    prediction error on the state before the step, without the goal. As in the authors' released code, it is divided by
+    an exponential average of the standard deviation of novelty, which tends to the root of that of the error. The
+    predictor has the paper's shared learning rate. The perturbation controller receives no demonstrations.
     """
 
     rnd_decay: float = struct.field(default=0.99, metadata=within("[0, 1)"))
