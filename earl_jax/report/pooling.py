@@ -176,7 +176,10 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     config, folders = parts[0].config, tuple(folder for part in parts for folder in part.runs)
     steps = functools.reduce(np.intersect1d, [part.steps for part in parts])
     if not len(steps):
-        raise InputError(f"{folders[-1].path} and {folders[0].path} have no evaluation step in common")
+        raise InputError(
+            f"{folders[-1].path} and {folders[0].path} have no evaluation step in common, "
+            "and runs of one task, method and options are pooled; leave one of them out"
+        )
     metrics = {
         name: np.concatenate([part.metrics[name][:, np.isin(part.steps, steps)] for part in parts])
         for name in parts[0].metrics
