@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -48,11 +49,13 @@ class Env(abc.ABC):
     """Whether this environment has an absorbing end state, which `State.done` reports."""
 
     def __init_subclass__(cls, **options: Any):
-        """Give `reset` of every task the package's types, as `step` has them, and protect the arrays of its class."""
+        """Give functions of every task the package's types, as `step` has them, and protect the arrays of its class."""
         super().__init_subclass__(**options)
         check_overrides(cls)
         if "reset" in vars(cls):
             cls.reset = package_types()(cls.reset)
+        for name in {"success", "reward"} & vars(cls).keys():
+            setattr(cls, name, package_types()(_of_whole_obs(getattr(cls, name))))
         for constant in vars(cls).values():
             if isinstance(constant, np.ndarray):
                 constant.setflags(write=False)
@@ -250,6 +253,21 @@ class Env(abc.ABC):
         Override it if the reward needs more of `state` than its obs.
         """
         return self.reward(self.with_goal(state, goal).obs)
+
+
+def _of_whole_obs(function: Callable[[Any, jax.Array], jax.Array]) -> Callable[[Any, jax.Array], jax.Array]:
+    """Return the `function` of a task and its `obs [..., s + g]`, which refuses a state without its goal."""
+
+    @functools.wraps(function)
+    def checked(env: Any, obs: jax.Array) -> jax.Array:
+        if (shape := np.shape(obs))[-1:] != (env.observation_size,):
+            raise InputError(
+                f"{env.name}: {function.__name__} takes obs [..., {env.observation_size}], a state with its goal, not "
+                f"{list(shape)}"
+            )
+        return function(env, obs)
+
+    return checked
 
 
 def _checked(name: str, values: jax.Array, size: int) -> jax.Array:

@@ -12,7 +12,7 @@ from benchmarks.physics.minitaur_trots import loop_error
 from earl_jax import physics
 from earl_jax.envs import PAPER_TASKS, Env, HelpBudget, KinematicEnv, MujocoEnv, env_class, list_envs, make, with_engine
 from earl_jax.envs.dhand.observation import TABLE
-from earl_jax.errors import annotations
+from earl_jax.errors import InputError, annotations
 from tests.conftest import assert_all_finite, assert_equal_trees, to_numpy
 from tests.envs.chain import Chain
 from tests.envs.programs import first_state, program, starts
@@ -70,13 +70,13 @@ FAULTS = {
 IRREVERSIBLE = {
     "dhand_lightbulb": [{("obs", 23): 0.31}],
     "minitaur_pen": [tilted(degrees, axis) for degrees in (121, 180, -150) for axis in (0, 1)],
-    "sawyer_peg": [peg_at(0.1, 0.33), peg_at(0.65, 0.6), peg_at(-0.65, 0.6)],
+    "sawyer_peg": [peg_at(0.1, 0.33), peg_at(0.69, 0.6), peg_at(-0.69, 0.6)],
 }
 """Changes after which the agent cannot go on, although nothing is broken."""
 REVERSIBLE = {
     "dhand_lightbulb": [{("obs", 23): 0.33}, {("obs", 23): 0.31, ("qvel", 24): 0.2}, {("obs", 23): 1.1}],
     "minitaur_pen": [tilted(degrees, axis) for degrees in (0, 95, 119) for axis in (0, 1)],
-    "sawyer_peg": [peg_at(0.1, 0.34), peg_at(0.63, 0.6), peg_at(-0.63, 0.6), peg_at(0.0, 0.99)],
+    "sawyer_peg": [peg_at(0.1, 0.34), peg_at(0.67, 0.6), peg_at(-0.67, 0.6), peg_at(0.0, 0.99)],
 }
 """Changes near those, after which it can."""
 
@@ -183,6 +183,19 @@ def changed(state, changes):
         owner = owner.replace(**{field: array})
         state = owner if field == "obs" else state.replace(data=owner)
     return state
+
+
+@EVERY_TASK
+@pytest.mark.parametrize("function", ["success", "reward"])
+def test_a_state_without_its_goal_is_refused(name, function):
+    env = make(name)
+    obs = jnp.zeros((3, env.observation_size))
+    assert getattr(env, function)(obs).shape == (3,)
+    for wrong in (obs[:, :-1], jnp.zeros(env.observation_size + 1), jnp.zeros(())):
+        with pytest.raises(
+            InputError, match=rf"{function} takes obs \[..., {env.observation_size}\], a state with its goal"
+        ):
+            getattr(env, function)(wrong)
 
 
 @EVERY_TASK

@@ -24,9 +24,9 @@ LOW = np.array([0.0, 0.5, 0.02], np.float32)
 HIGH = np.array([0.2, 0.7, 0.02], np.float32)
 SCATTER = 0.02
 RADIUS = 0.05
-NEAREST, WIDEST = 0.335, 0.64
-"""Metres: if the middle of the peg has a smaller y or a larger |x|, a hand inside its range cannot touch it or can only
-push it further away: docs/formalism.md."""
+NEAREST, WIDEST = 0.335, 0.68
+"""Metres: if the middle of the peg has a smaller y or a larger |x|, the hand cannot touch it or can only push it further
+away: docs/formalism.md. A hand that swings past its target reaches x = 0.545, and so a peg of half length 0.12 at 0.68."""
 INSERTED = np.array([-0.27, 0.6, 0.13], np.float32)
 HEADS = np.array(
     [
