@@ -15,7 +15,7 @@ from earl_jax.envs.checks import require_like, require_tuple
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State, all_finite, random_row
-from earl_jax.errors import InputError, check_overrides
+from earl_jax.errors import InputError, brief, check_overrides
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, check_literals, require
 from earl_jax.physics import PendingStep
@@ -187,8 +187,11 @@ class Env(abc.ABC):
         """Return the state after one control step with `action [a]` in [-1, 1].
 
         Raises:
-            ValueError: the action has another shape, or (outside jit, where values are known) is not finite.
+            ValueError: the action has another shape, or (outside jit, where values are known) is not finite, or `state` is
+                no `State`.
         """
+        if not isinstance(state, State):
+            raise InputError(f"{self.name}: step takes the State that reset or step returned, not {brief(state)}")
         return self.finish_step(state, self.start_step(state, action))
 
     @abc.abstractmethod

@@ -236,6 +236,8 @@ def test_a_task_has_the_spaces_of_gymnasium_and_refuses_bad_actions(name):
         action[-1] = bad
         with pytest.raises(ValueError, match=message):
             env.step(first_state(env), action)
+    with pytest.raises(InputError, match="step takes the State that reset or step returned"):
+        env.step(first_state(env).obs, np.zeros(env.action_size, np.float32))
 
 
 def test_actions_and_goals_can_be_lists(env):
