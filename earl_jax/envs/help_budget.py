@@ -20,6 +20,7 @@ from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import Map, Starts, View
 from earl_jax.envs.state import State, stored_key, tree_where
 from earl_jax.errors import InputError
+from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import require_object, within
 from earl_jax.physics import PendingStep
 
@@ -112,6 +113,7 @@ class HelpBudget(Env):
         task_map = self.task.map
         return task_map and task_map._replace(position=lambda obs: task_map.position(self.task_obs(obs)))
 
+    @package_types()
     def _reset_by(self, reset: Callable[..., State], key: jax.Array, *number: jax.Array) -> State:
         """Return the first state of a lifetime, with the whole budget, in which the task starts from `reset(key, *number)`.
 

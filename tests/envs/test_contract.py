@@ -1,6 +1,7 @@
 """The contract of an env, for every task of the registry; the numbers of the paper, faults and limits in tables by task."""
 
 import dataclasses
+import functools
 import warnings
 
 import jax
@@ -136,6 +137,27 @@ def test_reset_and_step_are_the_same_program_where_a_user_computes_in_float64(na
     expected = traced()
     with jax.enable_x64(True):
         assert traced() == expected
+
+
+@pytest.mark.parametrize(
+    "env",
+    [
+        make("tabletop_organization"),
+        make("sawyer_door"),
+        make("sawyer_peg", listed=True),
+        make("franka_kitchen"),
+        HELPED[0],
+    ],
+    ids=lambda env: type(env).__name__,
+)
+def test_other_starts_are_of_the_same_types_where_a_user_computes_in_float64(env):
+    *functions, _ = env.starts
+    calls = [functools.partial(start, jax.random.key(0)) for start in functions[:2] if start]
+    calls += [functools.partial(start, jax.random.key(0), 0) for start in functions[2:] if start]
+    expected = [jax.eval_shape(call) for call in calls]
+    assert expected
+    with jax.enable_x64(True):
+        assert [jax.eval_shape(call) for call in calls] == expected
 
 
 @pytest.mark.parametrize("name", NUMBERS)
