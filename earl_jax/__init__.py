@@ -7,6 +7,8 @@ loaded on first use, so importing the package costs nothing and loads no simulat
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from earl_jax.options import forks as _forks  # noqa: F401  (it notes forks from now on)
+
 __version__ = "0.1.0"
 _NAMES = {
     "algos": "SAC TD3 Learner Method Phase list_algos list_learners make_algo method_for register_algo register_learner",
@@ -53,7 +55,6 @@ if TYPE_CHECKING:
         Problem as Problem,
         Result as Result,
         evaluate as evaluate,
-        lifetime as lifetime,
         list_pretrained as list_pretrained,
         load as load,
         pretrained as pretrained,
@@ -62,6 +63,7 @@ if TYPE_CHECKING:
         select_seed as select_seed,
         train as train,
     )
+    from earl_jax.training.lifetime import lifetime as lifetime
 else:
     __all__ = sorted(_MODULES)
 

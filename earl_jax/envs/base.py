@@ -2,7 +2,6 @@
 
 import abc
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -11,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from earl_jax.envs.checks import require_like, require_tuple
+from earl_jax.envs.checks import of_whole_obs, require_like, require_tuple
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State, all_finite, random_row
@@ -55,7 +54,7 @@ class Env(abc.ABC):
         if "reset" in vars(cls):
             cls.reset = package_types()(cls.reset)
         for name in {"success", "reward"} & vars(cls).keys():
-            setattr(cls, name, package_types()(_of_whole_obs(getattr(cls, name))))
+            setattr(cls, name, package_types()(of_whole_obs(getattr(cls, name))))
         for constant in vars(cls).values():
             if isinstance(constant, np.ndarray):
                 constant.setflags(write=False)
@@ -256,21 +255,6 @@ class Env(abc.ABC):
         Override it if the reward needs more of `state` than its obs.
         """
         return self.reward(self.with_goal(state, goal).obs)
-
-
-def _of_whole_obs(function: Callable[[Any, jax.Array], jax.Array]) -> Callable[[Any, jax.Array], jax.Array]:
-    """Return the `function` of a task and its `obs [..., s + g]`, which refuses a state without its goal."""
-
-    @functools.wraps(function)
-    def checked(env: Any, obs: jax.Array) -> jax.Array:
-        if (shape := np.shape(obs))[-1:] != (env.observation_size,):
-            raise InputError(
-                f"{env.name}: {function.__name__} takes obs [..., {env.observation_size}], a state with its goal, not "
-                f"{list(shape)}"
-            )
-        return function(env, obs)
-
-    return checked
 
 
 def _checked(name: str, values: jax.Array, size: int) -> jax.Array:

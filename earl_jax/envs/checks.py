@@ -1,6 +1,7 @@
 """Checks of a task before it is used: its goals, and what its functions of an observation return."""
 
 import functools
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -49,6 +50,21 @@ def check_task(env: "Env") -> None:
         raise InputError(f"{env.name}: a sparse reward is the success bit, but {pair}; or use reward_type='dense'")
     if are_states and not bits[0, len(env.goal_states) :].all():
         raise InputError(f"{env.name}: a state that equals its goal is a success, but success is {brief(bits)}")
+
+
+def of_whole_obs(function: Callable[[Any, jax.Array], jax.Array]) -> Callable[[Any, jax.Array], jax.Array]:
+    """Return the `function` of a task and its `obs [..., s + g]`, which refuses a state without its goal."""
+
+    @functools.wraps(function)
+    def checked(env: Any, obs: jax.Array) -> jax.Array:
+        if (shape := np.shape(obs))[-1:] != (env.observation_size,):
+            raise InputError(
+                f"{env.name}: {function.__name__} takes obs [..., {env.observation_size}], a state with its goal, not "
+                f"{list(shape)}"
+            )
+        return function(env, obs)
+
+    return checked
 
 
 def require_tuple(what: str, result: Any, kind: Any, *names: str) -> Any:

@@ -69,12 +69,17 @@ def filled(replay: Replay, span: slice, steps: int) -> dict[str, np.ndarray]:
 def _rows(array: jax.Array, start: int, stop: int, span: slice) -> np.ndarray:
     """Return rows `start` to `stop` of the lanes `span` on the host.
 
-    They are copied in pieces, because one slice could need as much device memory again.
+    They are copied in pieces, because one slice could need as much device memory again. The pieces have powers of two of
+    rows, because jax compiles and keeps a program for each size.
     """
-    stop = min(stop, len(array))
-    step = max(1, PIECE // max(1, array.nbytes // max(1, len(array))))
-    pieces = [gathered(array[first : min(first + step, stop), span]) for first in range(start, stop, step)]
-    return np.concatenate(pieces) if pieces else gathered(array[:0, span])
+    stop, pieces = min(stop, len(array)), [np.empty((0, *array[:0, span].shape[1:]), array.dtype)]
+    most = max(1, PIECE // max(1, array.nbytes // max(1, len(array))))
+    while start < stop:
+        size = min(most, len(array), 1 << (stop - start - 1).bit_length())
+        first = min(start, len(array) - size)
+        pieces.append(gathered(array[first : first + size, span])[start - first : stop - first])
+        start = first + size
+    return np.concatenate(pieces)
 
 
 def spread(parts: Sequence[dict[str, np.ndarray]], sizes: Sequence[int], like: Replay) -> Replay:

@@ -12,6 +12,7 @@ from typing import Any
 from earl_jax.algos import Method, has_default_scale, method_for
 from earl_jax.envs import Env, env_class, make, with_engine, without_budget
 from earl_jax.errors import InputError, brief
+from earl_jax.options.forks import require_jax
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
 from earl_jax.options.schedule import Schedule
@@ -25,7 +26,6 @@ from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import failing_at_once, first_host, gathered
 from earl_jax.runs.logging import Log, check_logs
 from earl_jax.runs.policies import policies_step
-from earl_jax.training.forks import require_jax
 from earl_jax.training.result import Result
 from earl_jax.training.runner import Program, Run
 

@@ -15,11 +15,11 @@ from earl_jax.errors import InputError, require_known
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import phase_metrics
+from earl_jax.options.forks import require_jax
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import EPISODES, SEED, require
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.table import KEYS
-from earl_jax.training.forks import require_jax
 from earl_jax.training.loading import load_policies
 from earl_jax.training.policy import Policy
 from earl_jax.training.state import LaneState, Problem, TrainState

@@ -65,7 +65,7 @@ class Policy(struct.PyTreeNode, eq=False):
         return f"Policy{lanes or ''}({', '.join(filter(None, [sizes, type(self.learner).__name__, layers]))})"
 
     @package_types()
-    def __call__(self, obs: jax.Array) -> jax.Array:
+    def __call__(self, obs: jax.typing.ArrayLike) -> jax.Array:
         """Return the greedy action [..., a] at `obs [..., o]`.
 
         Raises:

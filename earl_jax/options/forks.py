@@ -1,7 +1,10 @@
-"""Processes that were forked after jax had started: jax waits in them for ever, for threads that only the parent has."""
+"""Processes that were forked after jax had started: jax waits in them for ever, for threads that only the parent has.
 
-import importlib
+The package imports this module with its name, before a user can fork. It loads no jax.
+"""
+
 import os
+import sys
 
 from earl_jax.errors import InputError
 
@@ -11,7 +14,7 @@ _after_jax = False
 def _note_fork() -> None:
     """Note whether jax has started; of a release without this function nothing is known."""
     global _after_jax
-    bridge = importlib.import_module("jax._src.xla_bridge")
+    bridge = sys.modules.get("jax._src.xla_bridge")
     _after_jax = getattr(bridge, "backends_are_initialized", bool)()
 
 
