@@ -18,6 +18,8 @@ from earl_jax.options.values import TimeLimit, parse_number, parse_whole
 
 SEED_TOKEN = re.compile(r"[\d_:,]+")
 """A count, a range or a list of seeds; no task is called so."""
+PYTHON = {"True": True, "False": False, "None": None}
+"""Values that the docs of options write as Python does, which JSON writes in lower case or as null."""
 REGISTRY = ConstructorRegistry()
 """The types that the parser of commands reads in another way than tyro."""
 
@@ -119,7 +121,7 @@ def stopping(as_json: bool, values: dict[str, Any]) -> Iterator[None]:
 
 
 def parse_options(pairs: Iterable[str], others: Collection[str] = ()) -> dict[str, Any]:
-    """Return name=value `pairs` as a dictionary. A value is JSON, or else text, so that names need no quotes.
+    """Return name=value `pairs` as a dictionary. A value is JSON, Python's True, False or None, or else text.
 
     Raises:
         ValueError: a pair has no `=`, its name is in another pair or among `others`, which have an argument of their own,
@@ -133,7 +135,7 @@ def parse_options(pairs: Iterable[str], others: Collection[str] = ()) -> dict[st
         if name in options or name in others:
             raise InputError(f"{name} is given twice; leave out one of them")
         try:
-            options[name] = json.loads(text, parse_float=parse_number)
+            options[name] = PYTHON[text] if text in PYTHON else json.loads(text, parse_float=parse_number)
         except json.JSONDecodeError:
             options[name] = text
         except (ValueError, RecursionError) as error:

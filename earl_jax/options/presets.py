@@ -60,16 +60,15 @@ PRESETS = {
 def preset(name: str, env: str | None = None, **changes: Any) -> dict[str, Any]:
     """Return the keyword arguments of `train` that the preset `name` stands for on the task `env`, with `changes`.
 
-    They include the seeds and the schedule. The steps of a preset of the published length need `env` or `changes`.
+    They include the seeds and the schedule. A preset of the published length needs `env`, or the steps in `changes`.
 
     Raises:
-        ValueError: there is no such preset, or the paper has no number of steps for the task and `changes` has none.
+        ValueError: there is no such preset, or the number of its steps is not known.
     """
     chosen = named_preset(name, env, changes.get("steps"))
-    values = {"seeds": chosen.seeds, **dataclasses.asdict(chosen.schedule), **chosen.options, **changes}
     if chosen.published_steps and env is None and "steps" not in changes:
-        del values["steps"]
-    return values
+        raise InputError(f"the preset {name} takes the published number of steps of a task: preset({name!r}, TASK)")
+    return {"seeds": chosen.seeds, **dataclasses.asdict(chosen.schedule), **chosen.options, **changes}
 
 
 def named_preset(name: str, env: str | None, steps: int | None) -> Preset:

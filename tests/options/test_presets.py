@@ -20,7 +20,9 @@ def test_a_preset_is_arguments_of_train(name):
 
 def test_published_steps_need_a_task_of_the_paper():
     assert earl_jax.preset("paper", "minitaur_pen")["steps"] == 3_000_000
-    assert "steps" not in earl_jax.preset("paper")
+    with pytest.raises(ValueError, match=r"of a task: preset\('paper', TASK\)"):
+        earl_jax.preset("paper")
+    assert earl_jax.preset("paper", steps=1000)["steps"] == 1000
     assert earl_jax.preset("paper", "fish_swim", steps=1000)["steps"] == 1000
     with pytest.raises(ValueError, match=r"'fish_swim' has none; give the steps, or choose from tabletop_organization"):
         earl_jax.preset("paper", "fish_swim")

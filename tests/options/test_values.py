@@ -225,3 +225,9 @@ def test_the_command_line_reads_minutes_and_writes_them():
             parse_minutes(text)
     shown = [str(TimeLimit.of(minutes)) for minutes in (1, np.float32(0.5), np.int64(90))]
     assert shown == ["1 minute", "0.5 minutes", "90 minutes"]
+
+
+def test_values_of_set_are_json_or_as_python_writes_them():
+    pairs = "a=True", "b=false", "c=None", "d=null", "e=[1,2]", "f=c", "g=1e3"
+    expected = {"a": True, "b": False, "c": None, "d": None, "e": [1, 2], "f": "c", "g": 1000}
+    assert parse_options(pairs) == expected
