@@ -116,7 +116,7 @@ def _warn_of_scale(env: Env, method: Method) -> None:
     default, own = type(method.learner).reward_scale, env.reward_scale
     if own != default and has_default_scale(method.learner):
         scales = f"reward_scale is {default:g}, the learner's default, and that of {env.name} is {own:g}"
-        warnings.warn(f"{scales}, which earl_jax.method_for takes", RunWarning, stacklevel=4)
+        warnings.warn(f"{scales}, which earl_jax.method_for takes", RunWarning, stacklevel=5)
 
 
 @package_types()
@@ -183,7 +183,7 @@ def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
         )
     if steps < folder.config.steps:
         message = f"{folder.path} now ends at step {steps:,} instead of {folder.config.steps:,}"
-        warnings.warn(message, RunWarning, stacklevel=3)
+        warnings.warn(message, RunWarning, stacklevel=5)
     return dataclasses.replace(folder.config, steps=steps)
 
 
@@ -205,12 +205,14 @@ def require_checkpoint(folder: RunFolder, step: int) -> None:
         )
     if step:
         message = f"{path} has no checkpoint yet, so its {step:,} steps are trained again"
-        warnings.warn(message, RunWarning, stacklevel=3)
+        warnings.warn(message, RunWarning, stacklevel=5)
 
 
 def _execute(program: Program, run: Run, progress: bool, limit: TimeLimit | None) -> Result:
     with run.folder.claimed() if run.folder else contextlib.nullcontext():
         train_state = program.run(progress, limit)
+    if not progress:
+        _warn_of_faults(run)
     return Result(
         config=run.config,
         engine=program.plan.engine,
@@ -221,6 +223,14 @@ def _execute(program: Program, run: Run, progress: bool, limit: TimeLimit | None
         train_state=train_state,
         objects=(run.env, run.method),
     )
+
+
+def _warn_of_faults(run: Run) -> None:
+    """Warn if most steps of a lane were faults, as the lines of `progress` do."""
+    faults, steps = run.table.metrics.get("faults"), run.table.step
+    if steps and faults is not None and (broken := faults[:, -1] > steps / 2).any():
+        problem = "lanes had faults in most of their steps, from which nothing is learnt"
+        warnings.warn(f"{broken.sum()} of {len(broken)} {problem}", RunWarning, stacklevel=6)
 
 
 def _create_folder(

@@ -16,8 +16,10 @@ from earl_jax.errors import InputError
 from earl_jax.metrics.deployed import WIDE
 from earl_jax.metrics.phase_stats import ALIVE, FORWARD, STILL
 from earl_jax.runs.config import method_options
+from earl_jax.runs.files import RunWarning
 from earl_jax.runs.table import COLUMNS
 from earl_jax.training import select_seed, split_options, train
+from tests import conftest
 from tests.cli.process import run
 from tests.conftest import ALGOS, assert_all_finite, make_train_state, tiny_method, tiny_train, without_shares
 from tests.envs.chain import Chain
@@ -176,3 +178,18 @@ def test_a_folder_of_the_user_is_expanded_where_no_shell_does(tmp_path, monkeypa
     assert run("table", "~/a run", "--out=~/table.md")[0] == 0
     assert not (tmp_path / "~").exists()
     assert (tmp_path / "home" / "table.md").exists()
+
+
+class Breaking(TabletopOrganization):
+    """Tabletop with a dense reward that is not finite once the gripper has moved."""
+
+    name = "breaking"
+
+    def reward(self, obs):
+        return jnp.where(obs[..., 0] == 0, 0.0, jnp.nan)
+
+
+def test_a_task_that_breaks_at_most_steps_is_a_warning_at_the_call():
+    with pytest.warns(RunWarning, match="2 of 2 lanes had faults in most of their steps") as caught:
+        tiny_train("naive", Breaking(reward_type="dense"))
+    assert {warning.filename for warning in caught} <= {__file__, conftest.__file__}
