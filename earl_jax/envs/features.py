@@ -1,5 +1,6 @@
 """What only some tasks have, and what has a default: a map of visits, further starts, pictures, the continuing setting."""
 
+import dataclasses
 import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -8,6 +9,7 @@ import jax
 import numpy as np
 
 from earl_jax.envs.state import State
+from earl_jax.options.jax_settings import package_types
 
 
 class Map(NamedTuple):
@@ -25,7 +27,8 @@ class Map(NamedTuple):
     goals: np.ndarray | None = None
 
 
-class Starts(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Starts:
     """Distributions of starts beside s0 ~ rho, functions like `reset`; None for a task without.
 
     `uniform(key)` draws over the whole workspace (figure 4 of the paper). `wide(key)` is that of `deployed/success_wide`:
@@ -38,6 +41,17 @@ class Starts(NamedTuple):
     wide: Callable[[jax.Array], State] | None = None
     numbered: Callable[[jax.Array, jax.Array], State] | None = None
     count: int = 1
+
+    def __post_init__(self):
+        """Give all functions the package's types, as `Env.reset` and `Env.step` have them."""
+        for name, start in self.functions.items():
+            object.__setattr__(self, name, package_types()(start))
+
+    @property
+    def functions(self) -> dict[str, Callable[..., State]]:
+        """The functions that the task has, by name."""
+        every = {"uniform": self.uniform, "wide": self.wide, "numbered": self.numbered}
+        return {name: start for name, start in every.items() if start is not None}
 
 
 class View(NamedTuple):

@@ -20,7 +20,6 @@ from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import Map, Starts, View
 from earl_jax.envs.state import State, stored_key, tree_where
 from earl_jax.errors import InputError
-from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import require_object, within
 from earl_jax.physics import PendingStep
 
@@ -100,8 +99,9 @@ class HelpBudget(Env):
 
     @property
     def starts(self) -> Starts:
-        *functions, count = self.task.starts
-        return Starts(*(start and functools.partial(self._reset_by, start) for start in functions), count=count)
+        starts = self.task.starts
+        helped = {name: functools.partial(self._reset_by, start) for name, start in starts.functions.items()}
+        return dataclasses.replace(starts, **helped)
 
     @property
     def object_position(self) -> Callable[[State], jax.Array] | None:
@@ -113,7 +113,6 @@ class HelpBudget(Env):
         task_map = self.task.map
         return task_map and task_map._replace(position=lambda obs: task_map.position(self.task_obs(obs)))
 
-    @package_types()
     def _reset_by(self, reset: Callable[..., State], key: jax.Array, *number: jax.Array) -> State:
         """Return the first state of a lifetime, with the whole budget, in which the task starts from `reset(key, *number)`.
 

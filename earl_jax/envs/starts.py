@@ -31,7 +31,7 @@ def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
     if start is None:
         reason = ": they belong to sparse tasks whose object can be anywhere" if starts == "wide" else ""
         raise InputError(f"{env.name} has no {starts} starts{reason}")
-    return package_types()(start)
+    return start
 
 
 @package_types()

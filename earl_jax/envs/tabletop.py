@@ -16,7 +16,6 @@ from earl_jax.envs.base import KinematicEnv
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State
-from earl_jax.options.jax_settings import package_types
 from earl_jax.physics import PhysicsState
 
 STEP = 0.2
@@ -77,7 +76,6 @@ class TabletopOrganization(KinematicEnv):
         """Both distributions have gripper and mug anywhere on the table; every place is within reach."""
         return Starts(self._uniform_start, self._uniform_start if self.sparse else None)
 
-    @package_types()
     def _uniform_start(self, key: jax.Array) -> State:
         start_key, goal_key = jax.random.split(key)
         qpos = jax.random.uniform(start_key, (4,), minval=-LIMIT, maxval=LIMIT)

@@ -18,7 +18,6 @@ from earl_jax.envs.features import ContinuingDefaults, Starts
 from earl_jax.envs.kitchen import reward as rewards
 from earl_jax.envs.mujoco_env import MujocoEnv, leashed_target
 from earl_jax.envs.state import NextState, State, stored_key
-from earl_jax.options.jax_settings import package_types
 from earl_jax.physics import EngineCost, PhysicsState
 
 REACH = 0.02
@@ -134,7 +133,6 @@ class FrankaKitchen(MujocoEnv):
     def starts(self) -> Starts:
         return Starts(numbered=self._start, count=len(self.initial_states))
 
-    @package_types()
     def _start(self, key: jax.Array, number: jax.Array) -> State:
         """Return the start with the appliances of `initial_states[number]`; `key` draws goal and noise."""
         pair_key, noise_key = jax.random.split(key)

@@ -14,7 +14,6 @@ from earl_jax.envs.sawyer.base import HAND_HIGH, HAND_LOW, Pose, Sawyer
 from earl_jax.envs.sawyer.experts import HANDLE, HANDLE_ANGLE, HINGE
 from earl_jax.envs.shaping import tolerance
 from earl_jax.envs.state import State, random_row, tree_where
-from earl_jax.options.jax_settings import package_types
 from earl_jax.physics import EngineCost
 
 HEIGHT = np.float32(0.100036)
@@ -101,7 +100,6 @@ class SawyerDoor(Sawyer):
         """
         return Starts(wide=self._wide_start if self.sparse and not self.reset_at_goal else None)
 
-    @package_types()
     def _wide_start(self, key: jax.Array) -> State:
         start_key, far_key, angle_key, arm_key = jax.random.split(key, 4)
         angle = jax.random.uniform(angle_key, minval=STOP, maxval=-NOISE)

@@ -14,7 +14,6 @@ from earl_jax.envs.sawyer.base import GRIPPER, OPENING, Pose, Sawyer
 from earl_jax.envs.shaping import hamacher, long_tail, prism, tolerance
 from earl_jax.envs.state import NextState, State, random_row
 from earl_jax.errors import InputError
-from earl_jax.options.jax_settings import package_types
 from earl_jax.physics import EngineCost, PhysicsState
 
 HEAD = np.array([-0.1, 0.0, 0.0], np.float32)
@@ -107,7 +106,6 @@ class SawyerPeg(Sawyer):
         start_key, goal_key = jax.random.split(key)
         return self._start_with_peg(self._peg_start(start_key), random_row(goal_key, self.goal_states))
 
-    @package_types()
     def _listed_start(self, key: jax.Array, number: jax.Array) -> State:
         """Return the start with that `number []` in the published list."""
         return self._start_with_peg(_lying_peg(jnp.asarray(HEADS)[number]), jnp.asarray(self.goal_states)[0])
