@@ -18,7 +18,7 @@ from earl_jax.options.values import TimeLimit, parse_number, parse_whole
 
 SEED_TOKEN = re.compile(r"[\d_:,]+")
 """A count, a range or a list of seeds; no task is called so."""
-PYTHON = {"True": True, "False": False, "None": None}
+PYTHON_VALUES = {"True": True, "False": False, "None": None}
 """Values that the docs of options write as Python does, which JSON writes in lower case or as null."""
 REGISTRY = ConstructorRegistry()
 """The types that the parser of commands reads in another way than tyro."""
@@ -135,7 +135,7 @@ def parse_options(pairs: Iterable[str], others: Collection[str] = ()) -> dict[st
         if name in options or name in others:
             raise InputError(f"{name} is given twice; leave out one of them")
         try:
-            options[name] = PYTHON[text] if text in PYTHON else json.loads(text, parse_float=parse_number)
+            options[name] = PYTHON_VALUES[text] if text in PYTHON_VALUES else json.loads(text, parse_float=parse_number)
         except json.JSONDecodeError:
             options[name] = text
         except (ValueError, RecursionError) as error:

@@ -66,8 +66,6 @@ def preset(name: str, env: str | None = None, **changes: Any) -> dict[str, Any]:
         ValueError: there is no such preset, or the number of its steps is not known.
     """
     chosen = named_preset(name, env, changes.get("steps"))
-    if chosen.published_steps and env is None and "steps" not in changes:
-        raise InputError(f"the preset {name} takes the published number of steps of a task: preset({name!r}, TASK)")
     return {"seeds": chosen.seeds, **dataclasses.asdict(chosen.schedule), **chosen.options, **changes}
 
 
@@ -75,7 +73,9 @@ def named_preset(name: str, env: str | None, steps: int | None) -> Preset:
     """Return the preset `name` with its steps on the task `env`, or with `steps` if given. Errors as `preset`."""
     require_known("preset", name, PRESETS)
     chosen = PRESETS[name]
-    if chosen.published_steps and steps is None and env is not None:
+    if chosen.published_steps and steps is None:
+        if env is None:
+            raise InputError(f"the preset {name} takes the published number of steps of a task: preset({name!r}, TASK)")
         row = assets.published_row("steps", env=env)
         if not row:
             known = ", ".join(row["env"] for row in assets.published("steps"))
