@@ -29,6 +29,11 @@ def count_diverged(metrics: Mapping[str, np.ndarray]) -> int:
     return int(np.any(marks, axis=0).sum())
 
 
+def mostly_faults(faults: np.ndarray, steps: int) -> np.ndarray:
+    """Return whether more than half of the `steps` of each lane were `faults [N]`, bool [N]."""
+    return faults > steps / 2
+
+
 def diverged_text(diverged: int, seeds: int) -> str:
     """Return `, 2 of 5 diverged`, or nothing if no seed has diverged."""
     return f", {diverged} of {seeds} diverged" if diverged else ""

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress as Bar, TextColumn, TimeRemainingColumn
 
-from earl_jax.metrics.continuing import DIVERGED, OVER
+from earl_jax.metrics.continuing import DIVERGED, OVER, mostly_faults
 from earl_jax.runs.streams import LastingStream
 
 NONE = np.zeros(1)
@@ -103,7 +103,10 @@ class Progress:
         for marks, problem in (
             (metrics.get(DIVERGED, NONE) > 0, "have diverged (a loss or a parameter is not finite)"),
             (metrics.get(OVER, NONE) > 0, "learn nothing more: their budget is spent"),
-            (metrics.get("faults", NONE) > step / 2, "have faults in most steps, from which they do not learn"),
+            (
+                mostly_faults(metrics.get("faults", NONE), step),
+                "have faults in most steps, from which they do not learn",
+            ),
         ):
             if marks.any():
                 self.message(f"step {step}: {marks.sum()} of {len(marks)} lanes {problem}")

@@ -12,6 +12,7 @@ from typing import Any
 from earl_jax.algos import Method, has_default_scale, method_for
 from earl_jax.envs import Env, env_class, make, with_engine, without_budget
 from earl_jax.errors import InputError, brief
+from earl_jax.metrics.continuing import mostly_faults
 from earl_jax.options.forks import require_jax
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.presets import ALGO
@@ -227,8 +228,8 @@ def _execute(program: Program, run: Run, progress: bool, limit: TimeLimit | None
 
 def _warn_of_faults(run: Run) -> None:
     """Warn if most steps of a lane were faults, as the lines of `progress` do."""
-    faults, steps = run.table.metrics.get("faults"), run.table.step
-    if steps and faults is not None and (broken := faults[:, -1] > steps / 2).any():
+    table = run.table
+    if table.step and (broken := mostly_faults(table.metrics["faults"][:, -1], table.step)).any():
         problem = "lanes had faults in most of their steps, from which nothing is learnt"
         warnings.warn(f"{broken.sum()} of {len(broken)} {problem}", RunWarning, stacklevel=6)
 
