@@ -24,11 +24,12 @@ from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RESERVED, RunConfig
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.folder import RunFolder
-from earl_jax.runs.hosts import failing_at_once, first_host, gathered
+from earl_jax.runs.hosts import failing_at_once, first_host
 from earl_jax.runs.logging import Log, check_logs
 from earl_jax.runs.policies import policies_step
 from earl_jax.training.result import Result
 from earl_jax.training.runner import Program, Run
+from earl_jax.training.stopping import Stopped
 
 
 @package_types()
@@ -211,19 +212,14 @@ def require_checkpoint(folder: RunFolder, step: int) -> None:
 
 def _execute(program: Program, run: Run, progress: bool, limit: TimeLimit | None) -> Result:
     with run.folder.claimed() if run.folder else contextlib.nullcontext():
-        train_state = program.run(progress, limit)
+        try:
+            train_state = program.run(progress, limit)
+        except Stopped as stopped:
+            stopped.result = run.result(stopped.state, program.plan.engine)
+            raise
     if not progress:
         _warn_of_faults(run)
-    return Result(
-        config=run.config,
-        engine=program.plan.engine,
-        step=int(gathered(train_state.step)),
-        steps=run.table.steps,
-        metrics=run.table.metrics,
-        folder=run.folder,
-        train_state=train_state,
-        objects=(run.env, run.method),
-    )
+    return run.result(train_state, program.plan.engine)
 
 
 def _warn_of_faults(run: Run) -> None:

@@ -31,6 +31,7 @@ from earl_jax.training.init import check_lanes, init_train_state
 from earl_jax.training.plan import join_lanes, make_plan, per_lane
 from earl_jax.training.policy import policies_of
 from earl_jax.training.program_cache import keep_programs
+from earl_jax.training.result import Result
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import LaneState, Problem, TrainState, seed_keys
 from earl_jax.training.stopping import Stopped, StopRequest
@@ -72,8 +73,8 @@ class Run:
         self._logs = open_logs(self.folder, self.listeners, step) if unfinished else []
         try:
             yield
-            self.table = self.table.extended(self._evaluations)
         finally:
+            self.table = self.table.extended(self._evaluations)
             for log in self._logs:
                 OptionalLog(type(log).__name__, log).close()
 
@@ -84,6 +85,19 @@ class Run:
         for log in self._logs:
             log.log(step, {name: values.copy() for name, values in metrics.items()})
         self._evaluations.append((step, metrics))
+
+    def result(self, state: TrainState, engine: str) -> Result:
+        """Return the result of this run, the only one of its program, whose lanes have `state`."""
+        return Result(
+            config=self.config,
+            engine=engine,
+            step=int(gathered(state.step)),
+            steps=self.table.steps,
+            metrics=self.table.metrics,
+            folder=self.folder,
+            train_state=state,
+            objects=(self.env, self.method),
+        )
 
 
 @functools.partial(jax.jit, static_argnames=("problem", "steps", "mesh"))
@@ -195,6 +209,7 @@ class Program:
         plan, start = self.plan, step
         check_lanes(plan.problem, self._method, state)
         if step == plan.steps:
+            bar.message(f"all {step:,} steps were trained before")
             self._record_length()
         while step < plan.steps:
             state = self._train_to_evaluation(state, step, bar, stop)
@@ -210,7 +225,7 @@ class Program:
                     save(run.folder.checkpoints, state, span)
             if stopping and stop.number is not None:
                 folder = self._runs[0].folder if len(self._runs) == 1 else None
-                raise Stopped(stop.number, step, folder and folder.path)
+                raise Stopped(stop.number, step, folder and folder.path, state)
             if stopping:
                 break
         return state

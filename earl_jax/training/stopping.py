@@ -16,13 +16,15 @@ from earl_jax.runs.hosts import of_all_hosts
 
 
 class Stopped(KeyboardInterrupt):
-    """Training was stopped by the signal `number` at `step`; its state is saved in `folder`, if there is one.
+    """Training was stopped by the signal `number` at `step`, in `state`, which is saved in `folder`, if there is one.
 
-    `exit_code` is that of a process that ends by this signal.
+    `exit_code` is that of a process that ends by this signal. From `train` and `resume`, `result` is the `Result` so far.
     """
 
-    def __init__(self, number: int, step: int, folder: Path | None):
-        self.step, self.exit_code = step, 128 + number
+    result: Any = None
+
+    def __init__(self, number: int, step: int, folder: Path | None, state: Any = None):
+        self.step, self.state, self.exit_code = step, state, 128 + number
         remedy = f"; resume with: {resume_command(folder)}" if folder else ""
         super().__init__(f"stopped at step {step} by {signal.Signals(number).name}{remedy}")
 

@@ -56,10 +56,11 @@ def test_a_run_resumed_from_its_last_checkpoint_but_one_ends_bit_identical(tmp_p
     assert [path.name for path in sorted((tmp_path / "part/checkpoints").iterdir())] == ["000000080", "000000120"]
 
 
-def test_a_finished_run_is_not_trained_again_and_a_longer_one_can_end_where_it_stopped(tmp_path):
+def test_a_finished_run_is_not_trained_again_and_a_longer_one_can_end_where_it_stopped(tmp_path, capsys):
     first = tiny_train("naive", out=tmp_path / "run")
-    again = earl_jax.resume(tmp_path / "run")
+    again = earl_jax.resume(tmp_path / "run", progress=True)
     assert_equal_results(again, first)
+    assert "all 120 steps were trained before" in capsys.readouterr().err
     with pytest.raises(ValueError, match="has 120 steps already, more than 80"):
         earl_jax.resume(tmp_path / "run", steps=80)
     RunFolder.open(tmp_path / "run").record(steps=200)

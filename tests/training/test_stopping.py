@@ -80,6 +80,19 @@ def test_a_stopped_run_continues_bit_identically(whole, tmp_path, monkeypatch, n
     assert_same_files(folder, whole)
 
 
+def test_the_run_so_far_is_an_attribute_of_the_exception(monkeypatch):
+    """Without a folder, it is all that is left of the run."""
+    whole = tiny_train("naive")
+    call_after(monkeypatch, 5, lambda: os.kill(os.getpid(), signal.SIGINT))
+    with pytest.raises(Stopped) as stopped:
+        tiny_train("naive")
+    result = stopped.value.result
+    assert (result.step, result.steps.tolist(), result.finished) == (100, [40, 80], False)
+    for name, values in result.metrics.items():
+        np.testing.assert_array_equal(values, whole.metrics[name][:, :2])
+    assert result.policy(seed=1)(np.zeros(12)).shape == (3,)
+
+
 def test_several_runs_that_stop_together_are_not_resumed_one_by_one(tmp_path, monkeypatch):
     configs = [make_config(make("tabletop_organization"), tiny_method("naive"), seeds=(seed,)) for seed in (0, 1)]
     runs = [runner.Run.resolve(config) for config in configs]
