@@ -1,12 +1,9 @@
 """The flags of XLA that were measured to help on a GPU, set for commands that train."""
 
-import mmap
 import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from importlib.util import find_spec
-from pathlib import Path
 
 from earl_jax.errors import InputError
 from earl_jax.options.environment import PYTHON
@@ -14,13 +11,13 @@ from earl_jax.sweeps.slots import cuda_plugin
 
 VARIABLE = "XLA_FLAGS"
 FLAGS = {
-    "xla_gpu_graph_enable_concurrent_region": ("true", ""),
-    "xla_gpu_enable_command_buffer": ("+WHILE,+CONDITIONAL", "command types with + and - as prefix"),
+    "xla_gpu_graph_enable_concurrent_region": "true",
+    "xla_gpu_enable_command_buffer": "+WHILE,+CONDITIONAL",
 }
-"""Values by name, each with a text of XLA's table of flags without which the value is not understood. The first flag lets
-kernels of a CUDA graph run at the same time; the second makes one graph of a whole chunk of steps of a task that the device
-simulates. Measured on an H200, five lanes of tabletop, in docs/performance.md."""
+"""Values by name. The first flag lets kernels of a CUDA graph run at the same time; the second makes one graph of a whole
+chunk of steps of a task that the device simulates. Measured on an H200, five lanes of tabletop, in docs/performance.md."""
 TRIAL = "import jaxlib.xla_client as xla; xla.make_cpu_client()"
+"""Code for which XLA reads its flags, in half a second. jax[cuda13] pins the plugin of CUDA to the version of jaxlib."""
 COMMANDS = ("train", "resume", "sweep", "search", "reproduce", "quickstart")
 HELP = {"-h", "--help"}
 
@@ -36,11 +33,12 @@ def set_flags(arguments: Sequence[str]) -> None:
     """
     if not trains(arguments):
         return
-    if os.environ.get(VARIABLE) and "jax" not in sys.modules:  # else XLA has accepted them
-        _try_flags()
+    given = os.environ.get(VARIABLE, "")
+    if given and "jax" not in sys.modules and (reason := refusal(given)) is not None:  # with jax, XLA has accepted them
+        raise InputError(f"XLA refuses {VARIABLE}={given}: {reason}")
     added = helpful_flags(os.environ)
     if added:
-        os.environ[VARIABLE] = " ".join([*os.environ.get(VARIABLE, "").split(), *added])
+        os.environ[VARIABLE] = " ".join([*given.split(), *added])
         print(f"earl-jax: XLA_FLAGS has {' '.join(added)}; a value of your own in XLA_FLAGS is kept", file=sys.stderr)
 
 
@@ -49,44 +47,25 @@ def trains(arguments: Sequence[str]) -> bool:
     return bool(arguments) and arguments[0] in COMMANDS and not HELP & set(arguments)
 
 
-def _try_flags() -> None:
-    """Raise an InputError with XLA's reason if it ends another process for the flags of this one."""
-    try:
-        trial = subprocess.run([*PYTHON, "-c", TRIAL], capture_output=True, text=True, check=False)
-    except OSError:
-        return  # this process may start no other one
-    if trial.returncode:
-        reason = trial.stderr.partition("\n")[0].rpartition("] ")[2]
-        raise InputError(f"XLA refuses {VARIABLE}={os.environ[VARIABLE]}: {reason}")
-
-
 def helpful_flags(environment: Mapping[str, str]) -> list[str]:
     """Return the flags to add to XLA_FLAGS of `environment`, as `--name=value`; none without jax's CUDA plugin."""
     given, platforms = environment.get(VARIABLE, "").split(), environment.get("JAX_PLATFORMS", "")
-    if (given and not given[0].startswith("-")) or platforms == "cpu":  # XLA_FLAGS can also name a file of flags
-        return []
-    plugin, jaxlib = cuda_plugin(), find_spec("jaxlib")
-    if plugin is None or jaxlib is None or jaxlib.origin is None:
+    names_file = given and not given[0].startswith("-")  # XLA_FLAGS can also name a file of flags
+    if names_file or platforms == "cpu" or cuda_plugin() is None:
         return []
     names = {flag.lstrip("-").partition("=")[0] for flag in given}
-    folders = (Path(jaxlib.origin).parent, plugin)
-    return [
-        f"--{name}={value}"
-        for name, (value, text) in FLAGS.items()
-        if name not in names and all(knows_flag(folder, name, text) for folder in folders)
-    ]
+    added = [f"--{name}={value}" for name, value in FLAGS.items() if name not in names]
+    if added and refusal(" ".join(added)) is not None:
+        added = [flag for flag in added if refusal(flag) is None]
+    return added
 
 
-def knows_flag(folder: Path, name: str, text: str) -> bool:
-    """Return whether a library in `folder` contains `text`, and `name` as XLA's table of flags does, before a zero byte.
-
-    It takes milliseconds: the table is near the beginning of the file. The name of an option that is no flag any more
-    can remain in descriptions of messages, where no zero byte follows.
-    """
-    libraries = sorted(folder.glob("*.so"), key=lambda path: path.stat().st_size, reverse=True)
-    return any(_contains(path, name.encode() + b"\0", text.encode()) for path in libraries if path.stat().st_size)
-
-
-def _contains(path: Path, *texts: bytes) -> bool:
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        return all(content.find(text) >= 0 for text in texts)
+def refusal(flags: str) -> str | None:
+    """Return the reason for which XLA ends a process with `flags`, or None if it accepts them."""
+    try:
+        trial = subprocess.run(
+            [*PYTHON, "-c", TRIAL], env={**os.environ, VARIABLE: flags}, capture_output=True, text=True, check=False
+        )
+    except OSError:
+        return None  # this process may start no other one
+    return trial.stderr.partition("\n")[0].rpartition("] ")[2] if trial.returncode else None
