@@ -79,20 +79,25 @@ def gather(
     runs: dict[str, Curves] = {}
     left_out: dict[Path, str] = {}
     for path in find_runs(folders):
+        extended, added = dict(runs), []
         try:
             for curves in by_values(read(path, window)):
                 check(curves)
                 key = pooling_key(curves.config)
                 run = curves
-                if key in runs:
-                    run = pooled((runs[key], curves))
+                if key in extended:
+                    run = pooled((extended[key], curves))
                     _check_copied(run, curves.seeds)
                     check(run)
-                runs[key] = run
-                pools.setdefault(key, []).append(curves)
+                extended[key] = run
+                added.append((key, curves))
         except Exception as error:  # a folder is data: any error in it is reported and affects no other run
             text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
             left_out[path] = text if str(path) in text else f"{path}: {text}"
+        else:  # all parts of a run or none
+            runs = extended
+            for key, curves in added:
+                pools.setdefault(key, []).append(curves)
     if not pools:
         causes = list(left_out.values())
         more = [f"and {len(causes) - MOST_CAUSES} more"] if len(causes) > MOST_CAUSES else []

@@ -39,6 +39,13 @@ def test_seeds_of_one_run_that_have_values_of_their_own_are_apart(tmp_path):
     assert flags.config.options == {"timeout_bootstrap": True}
 
 
+def test_a_run_is_left_out_as_a_whole_if_the_seeds_of_one_of_its_values_are_copies(tmp_path):
+    write_run(tmp_path / "a", TABLETOP, "naive", rising(2, 3)[1:], seeds=(1,), learning_rate=1e-3)
+    write_run(tmp_path / "b", TABLETOP, "naive", rising(2, 3), learning_rate=[1e-2, 1e-3])
+    [run], left_out = gather([tmp_path])
+    assert (run.run_seeds, list(left_out)) == ([1], [tmp_path / "b"])
+
+
 def test_pooled_runs_have_the_later_metrics_that_all_of_them_have_in_any_order(tmp_path):
     more = {"continuing/alive": 1, "critic_loss": 0.1, "interventions": 3}
     wide = {"a": {"deployed/success_wide": 0.25, **more}, "b": {"deployed/success_wide": 0.5}, "c": {}}
