@@ -70,7 +70,8 @@ class Run:
         self.table = self.folder.table_until(step) if self.folder and first_host() else Table()
         self._evaluations: list[tuple[int, dict[str, np.ndarray]]] = []
         unfinished = step < self.config.steps and first_host()
-        self._logs = open_logs(self.folder, self.listeners, step) if unfinished else []
+        folder = self.folder and dataclasses.replace(self.folder, config=self.config)  # resumed, it can be longer
+        self._logs = open_logs(folder, self.listeners, step) if unfinished else []
         try:
             yield
         finally:

@@ -148,6 +148,18 @@ class Stuck(ListLog):
         raise OSError("no space left")
 
 
+def test_the_logs_of_a_run_that_is_made_longer_know_its_new_length(tmp_path):
+    class Attached(ListLog):
+        def attach(self, folder, logs):
+            self.steps = folder.config.steps
+            return self
+
+    log = Attached()
+    tiny_train("naive", out=tmp_path / "run", steps=80)
+    resume(tmp_path / "run", steps=160, logs=[log])
+    assert log.steps == 160
+
+
 def test_any_object_with_log_and_close_is_a_log_and_changes_the_metrics_and_the_end_of_no_other(tmp_path):
     log = ListLog()
     with pytest.warns(RunWarning, match="the log Stuck has failed .*: no space left"):
