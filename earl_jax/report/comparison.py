@@ -3,7 +3,6 @@
 import itertools
 import math
 import textwrap
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -49,7 +48,7 @@ from earl_jax.report.tables import (
     windows_text,
     write,
 )  # fmt: skip
-from earl_jax.runs.files import RunWarning, require_suffix
+from earl_jax.runs.files import require_suffix, warn
 
 OTHER_TASK = "not compared: the task is our reconstruction"
 OTHER_METRIC = "one is scored by success and the other by return"
@@ -107,7 +106,7 @@ def compare(
             else:
                 cause = "one ends before the other's first evaluation" if same_metric else OTHER_METRIC
                 apart = f"{first.label} and {second.label} on {first.env} are not compared"
-                warnings.warn(f"{apart}: {cause}", RunWarning, stacklevel=2)
+                warn(f"{apart}: {cause}")
     if not rows:
         raise InputError(f"there is nothing to compare; compare needs runs of {needed}")
     return with_verdicts(rows)

@@ -1,7 +1,6 @@
 """Learning curves as pictures."""
 
 import textwrap
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -18,7 +17,7 @@ from earl_jax.report.pooling import read_all
 from earl_jax.report.published import released_beside
 from earl_jax.report.runs import Curves, checked_labels, labels
 from earl_jax.report.scores import evenly_spaced, in_as_many_steps, interval_of, require_curve, trailing
-from earl_jax.runs.files import RunWarning, require_suffix
+from earl_jax.runs.files import require_suffix, warn
 
 RELEASED = {"color": "0.55"}
 """The style of the released runs of the paper."""
@@ -178,8 +177,7 @@ def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool
     """
     styles = len(CYCLE) * len(style.LINE_STYLES)
     if max(line.number for line in lines) >= styles:
-        text = f"a picture of more than {styles} lines has no legend, because their styles repeat"
-        warnings.warn(text, RunWarning, stacklevel=3)
+        warn(f"a picture of more than {styles} lines has no legend, because their styles repeat")
         return
     entries: dict[str, dict[str, Any]] = {}
     for line in lines:

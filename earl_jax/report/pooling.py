@@ -3,7 +3,6 @@
 import functools
 import json
 import os
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from earl_jax.report.runs import Columns, Curves, by_method, by_values, read
 from earl_jax.report.scores import over_same_steps, seed_scores
 from earl_jax.runs.config import DEPLOYED, RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, is_run
-from earl_jax.runs.files import RunWarning
+from earl_jax.runs.files import warn
 
 Check = Callable[[Curves], Any]
 """A function that raises an error if curves lack what a report shows of them."""
@@ -59,7 +58,7 @@ def _runs_below(folder: Path) -> Iterator[Path]:
 
 
 def _warn_of_unread(error: OSError) -> None:
-    warnings.warn(f"left out: {error.filename} can't be read: {error.strerror}", RunWarning, stacklevel=2)
+    warn(f"left out: {error.filename} can't be read: {error.strerror}")
 
 
 def gather(
@@ -128,8 +127,7 @@ def _once(run: Curves) -> Curves:
     if not repeated:
         return run
     paths = " and ".join(str(folder.path) for folder in run.runs if {*repeated} & {*folder.config.seeds})
-    text = f"{paths} have seed {', '.join(map(str, repeated))}; each counts once, by the mean of its runs"
-    warnings.warn(text, RunWarning, stacklevel=3)
+    warn(f"{paths} have seed {', '.join(map(str, repeated))}; each counts once, by the mean of its runs")
     rows = [np.equal(seeds, seed) for seed in dict.fromkeys(seeds)]
     means = {name: np.stack([values[row].mean(axis=0) for row in rows]) for name, values in run.metrics.items()}
     return run._replace(metrics=Columns(run.runs[0].path, means))
@@ -147,7 +145,7 @@ def _warn_if_shortened(run: Curves, parts: Sequence[Curves]) -> None:
     if run.length < longest.length:
         paths = [part.runs[0].path for part in (longest, shortest)]
         counted = f"counts up to step {run.length} of {longest.length} only"
-        warnings.warn(f"{paths[0]} is pooled with {paths[1]} and {counted}", RunWarning, stacklevel=3)
+        warn(f"{paths[0]} is pooled with {paths[1]} and {counted}")
 
 
 def read_all(folders: Sequence[Path], window: Window = DEFAULT, check: Check = lambda curves: None) -> list[Curves]:
@@ -160,7 +158,7 @@ def read_all(folders: Sequence[Path], window: Window = DEFAULT, check: Check = l
     for path, cause in left_out.items():
         if path in folders:
             raise InputError(cause)
-        warnings.warn(f"left out: {cause}", RunWarning, stacklevel=2)
+        warn(f"left out: {cause}")
     return runs
 
 

@@ -2,7 +2,6 @@
 
 import copy
 import dataclasses
-import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -20,7 +19,7 @@ from earl_jax.protocol import SETTINGS, Deployment
 from earl_jax.report.style import grouped, method_order, task_order
 from earl_jax.runs.config import RunConfig, method_options
 from earl_jax.runs.contents import METRICS
-from earl_jax.runs.files import RunWarning
+from earl_jax.runs.files import warn
 from earl_jax.runs.folder import RunFolder
 
 SAME_TASK = frozenset({"engine", "demo_file", "reward_type"})
@@ -178,7 +177,7 @@ def _warn_of_values(curves: Curves) -> None:
         if isinstance(values, list) and len(values) == len(curves.config.seeds) and float in map(type, values):
             cause = f"{curves.runs[0].path}: its seeds have different values of {name} and are taken together"
             remedy = "to tell them apart, pass the file of their method with --import"
-            warnings.warn(f"{cause}; {remedy}", RunWarning, stacklevel=2)
+            warn(f"{cause}; {remedy}")
 
 
 def common_step(first: Curves, second: Curves, share: float = 1.0) -> int | None:

@@ -12,7 +12,6 @@ import re
 import shutil
 import stat
 import tempfile
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ import numpy as np
 
 from earl_jax.errors import InputError
 from earl_jax.runs import archive
-from earl_jax.runs.files import PART, RunWarning, check_kind, make_folder
+from earl_jax.runs.files import PART, check_kind, make_folder, warn
 from earl_jax.runs.hosts import first_host, gathered
 from earl_jax.runs.snapshot import filled, named_arrays, spread, typed
 
@@ -119,7 +118,7 @@ def restore_together(folders: Sequence[Path], sizes: Sequence[int], like: Any, w
             causes.append(str(error))
             continue
         if causes:
-            warnings.warn(f"{'; '.join(causes)}; continuing from {step:09d}", RunWarning, stacklevel=2)
+            warn(f"{'; '.join(causes)}; continuing from {step:09d}")
         return state
     if causes:
         raise InputError(f"{'; '.join(causes)}; no older checkpoint is intact")

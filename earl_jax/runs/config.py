@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import shlex
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from earl_jax.options.schedule import FIELDS, Schedule, require_whole_windows
 from earl_jax.options.seeds import seed_list
 from earl_jax.options.values import check_intervals, check_storable
 from earl_jax.protocol import SETTINGS, Deployment, Protocol, Setting, setting_of, split_setting
-from earl_jax.runs.files import RunWarning
+from earl_jax.runs.files import warn
 
 RESERVED = frozenset({"env", "name"})
 """Names that no option has: parameters of the functions that take options by name."""
@@ -202,7 +201,7 @@ class RunConfig:
         for name, then in latest(self.imports).items():
             if name in now and now[name]["sha256"] != then["sha256"]:
                 texts = f"sha256 {short_hash(then)} then, {short_hash(now[name])} now"
-                warnings.warn(f"{name} has changed since {path} was trained ({texts})", RunWarning, stacklevel=2)
+                warn(f"{name} has changed since {path} was trained ({texts})")
 
     def protocol(self, env: Env) -> Protocol:
         """Return the protocol: the task's horizons, the setting's rules, this run's evaluations."""

@@ -5,6 +5,7 @@ import errno
 import os
 import re
 import stat
+import sys
 import warnings
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -21,6 +22,8 @@ class RunWarning(UserWarning):
     """A warning about the files of a run, which commands print as one line."""
 
 
+CALLED_THROUGH = {__name__.partition(".")[0], "contextlib"}
+"""Top-level modules of the functions between a user's line and a warning."""
 DEFAULT_FORMAT = warnings.formatwarning
 
 
@@ -29,6 +32,14 @@ def format_warning(message: Warning | str, category: type[Warning], *details: An
     if issubclass(category, RunWarning):
         return f"earl-jax: {message}\n"
     return DEFAULT_FORMAT(message, category, *details)
+
+
+def warn(message: str) -> None:
+    """Warn with a `RunWarning` whose location is the line that called this package, such as one of a notebook."""
+    frame, level = sys._getframe(), 1
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in CALLED_THROUGH:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, RunWarning, stacklevel=level)
 
 
 def check_kind(path: Path, kind: int = stat.S_IFREG) -> None:
@@ -148,8 +159,7 @@ def locked(path: Path) -> Iterator[None]:
         except OSError as error:
             if error.errno not in WITHOUT_LOCKS:
                 raise OSError(f"{path} can't be locked: {error.strerror or error}") from error
-            message = f"{path} is on a file system without locks: make sure that no other process writes to it"
-            warnings.warn(message, RunWarning, stacklevel=3)
+            warn(f"{path} is on a file system without locks: make sure that no other process writes to it")
         yield
 
 

@@ -10,7 +10,6 @@ import importlib
 import logging
 import os
 import struct
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,7 +18,7 @@ import numpy as np
 
 from earl_jax.errors import InputError, brief, optional, require_known
 from earl_jax.runs.contents import TENSORBOARD, WANDB
-from earl_jax.runs.files import RunWarning, make_folder
+from earl_jax.runs.files import make_folder, warn
 from earl_jax.runs.folder import RunFolder
 
 
@@ -137,8 +136,7 @@ class OptionalLog:
         except Exception as error:
             self._failed = True
             cause = " ".join(str(error).split()) or type(error).__name__
-            message = f"the log {self._name} has failed and receives nothing more, and training goes on: {cause}"
-            warnings.warn(message, RunWarning, stacklevel=3)
+            warn(f"the log {self._name} has failed and receives nothing more, and training goes on: {cause}")
 
 
 LIBRARIES = {TENSORBOARD: "tensorboardX", WANDB: "wandb"}

@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import os
 import shlex
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from earl_jax.options.values import COUNT, TimeLimit, require, require_object
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RESERVED, RunConfig
-from earl_jax.runs.files import RunWarning
+from earl_jax.runs.files import warn
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import failing_at_once, first_host
 from earl_jax.runs.logging import Log, check_logs
@@ -118,7 +117,7 @@ def _warn_of_scale(env: Env, method: Method) -> None:
     default, own = type(method.learner).reward_scale, env.reward_scale
     if own != default and has_default_scale(method.learner):
         scales = f"reward_scale is {default:g}, the learner's default, and that of {env.name} is {own:g}"
-        warnings.warn(f"{scales}, which earl_jax.method_for takes", RunWarning, stacklevel=5)
+        warn(f"{scales}, which earl_jax.method_for takes")
 
 
 @package_types()
@@ -184,8 +183,7 @@ def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
             f"steps {steps} is not a multiple of {every}, the run's eval_every; take {-(-steps // every) * every}"
         )
     if steps < folder.config.steps:
-        message = f"{folder.path} now ends at step {steps:,} instead of {folder.config.steps:,}"
-        warnings.warn(message, RunWarning, stacklevel=5)
+        warn(f"{folder.path} now ends at step {steps:,} instead of {folder.config.steps:,}")
     return dataclasses.replace(folder.config, steps=steps)
 
 
@@ -206,8 +204,7 @@ def require_checkpoint(folder: RunFolder, step: int) -> None:
             f"earl-jax show {name} reads it; to train it again: earl-jax train --config {name} --out NEW"
         )
     if step:
-        message = f"{path} has no checkpoint yet, so its {step:,} steps are trained again"
-        warnings.warn(message, RunWarning, stacklevel=5)
+        warn(f"{path} has no checkpoint yet, so its {step:,} steps are trained again")
 
 
 def _execute(program: Program, run: Run, progress: bool, limit: TimeLimit | None) -> Result:
@@ -227,7 +224,7 @@ def _warn_of_faults(run: Run) -> None:
     table = run.table
     if table.step and (broken := mostly_faults(table.metrics["faults"][:, -1], table.step)).any():
         problem = "lanes had faults in most of their steps, from which nothing is learnt"
-        warnings.warn(f"{broken.sum()} of {len(broken)} {problem}", RunWarning, stacklevel=6)
+        warn(f"{broken.sum()} of {len(broken)} {problem}")
 
 
 def _create_folder(

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Hashable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -16,7 +15,7 @@ from earl_jax.algos import Method
 from earl_jax.envs import resolved_engine
 from earl_jax.errors import InputError, brief
 from earl_jax.options.schedule import require_whole_windows
-from earl_jax.runs.files import RunWarning
+from earl_jax.runs.files import warn
 from earl_jax.training import memory
 from earl_jax.training.demos import demo_rows
 from earl_jax.training.devices import lane_mesh
@@ -73,7 +72,7 @@ def make_plan(problem: Problem, method: Method, lanes: int, steps: int, devices:
     common = math.gcd(random, every)
     chunk = max(size for size in range(1, min(common, LONGEST_CHUNK) + 1) if common % size == 0)
     for surprise in _surprises(problem, method, steps, chunk):
-        warnings.warn(surprise, RunWarning, stacklevel=2)
+        warn(surprise)
     mesh, need = lane_mesh(devices, lanes), memory.estimate(problem, method, lanes, steps)
     memory.require(need, mesh)
     return Plan(problem, lanes, steps, chunk_steps=chunk, random_steps=random, mesh=mesh, memory=need)

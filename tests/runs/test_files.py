@@ -10,12 +10,25 @@ from unittest.mock import DEFAULT, Mock
 
 import pytest
 
+from earl_jax import resume, train
 from earl_jax.runs.files import RunWarning, append, inside, locked, read_bytes, write_atomically, written
+from earl_jax.runs.folder import RunFolder
+from tests.conftest import TINY, TINY_RUN
 
 HOLD_LOCK = (
     "import sys, time; from pathlib import Path; from earl_jax.runs.files import locked\n"
     "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
 )
+
+
+def test_a_warning_is_one_at_the_line_that_called_the_package(tmp_path):
+    options = {**TINY, **TINY_RUN, "random_steps": 120, "steps": 120}
+    with pytest.warns(RunWarning, match="nothing is learnt") as caught:
+        train("tabletop_organization", "naive", out=tmp_path / "run", **options)
+    RunFolder.open(tmp_path / "run").record(steps=160)
+    with pytest.warns(RunWarning, match="now ends at step 120 instead of 160") as again:
+        resume(tmp_path / "run", steps=120)
+    assert {warning.filename for warning in [*caught, *again]} == {__file__}
 
 
 def test_a_folder_is_locked_by_one_process_until_it_ends(tmp_path):

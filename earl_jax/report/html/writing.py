@@ -7,7 +7,6 @@ import hashlib
 import json
 import shlex
 import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from earl_jax.report.pooling import find_runs, gather
 from earl_jax.report.runs import Curves
 from earl_jax.report.scores import row_of, seed_scores
 from earl_jax.runs.contents import FILES
-from earl_jax.runs.files import RunWarning, written
+from earl_jax.runs.files import warn, written
 
 TEMPLATES = Path(__file__).parent / "templates"
 LEAST_SECONDS = 1.0
@@ -52,7 +51,7 @@ def write_page(
     environment, plotly = _libraries(out)
     runs, left_out = gather(folders, window, _check)
     for cause in left_out.values():
-        warnings.warn(f"left out: {cause}", RunWarning, stacklevel=2)
+        warn(f"left out: {cause}")
     content = page_content(lines_of(runs), policies)
     plots = {
         task["id"]: {"panels": task["panels"], "maps": [visit_map["plot"] for visit_map in task["maps"]]}
