@@ -101,7 +101,7 @@ def require_known(kind: str, name: Any, names: Collection[str]) -> None:
 def brief(value: Any) -> str:
     """Return `value` as text of at most some hundred characters, for a message."""
     try:
-        return reprlib.repr(value.tolist() if hasattr(value, "tolist") else value)
+        return " ".join(reprlib.repr(value.tolist() if hasattr(value, "tolist") else value).splitlines())
     except ValueError:  # Python writes no numbers of thousands of digits
         return "a number of thousands of digits"
 

@@ -14,7 +14,7 @@ import numpy as np
 from earl_jax.algos import Method
 from earl_jax.envs import Env
 from earl_jax.errors import InputError, printable, require_known
-from earl_jax.metrics.scores import DEFAULT, Score, Scores, Window, lifetime_scores
+from earl_jax.metrics.scores import DEFAULT, Score, Scores, Window, as_decimals, lifetime_scores
 from earl_jax.options.seeds import lane_of
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RunConfig
@@ -118,18 +118,34 @@ class Result:
         """
         return select_seed(self.policies, lane if seed is None else lane_of(seed, self.seeds, "in this run"))
 
-    def frame(self) -> Any:
+    def frame(self, *options: str) -> Any:
         """Return the metrics as a pandas DataFrame with the rows of metrics.csv: `step`, `seed`, and each metric.
 
+        A column for each of the `options` follows: `env`, `algo`, or an option of the task, the method or the setting, whose
+        default counts too. With these the frames of several runs can be told apart in one.
+
         Raises:
-            ValueError: pandas is not installed.
+            ValueError: pandas is not installed, there is no such option, or as `method`.
         """
         try:
             pandas = importlib.import_module("pandas")
         except ImportError as error:
             raise InputError("a frame needs pandas: pip install pandas") from error
-        keys = {"step": np.repeat(self.steps, len(self.seeds)), "seed": np.tile(self.seeds, len(self.steps))}
-        return pandas.DataFrame({**keys, **{name: values.T.ravel() for name, values in self.metrics.items()}})
+        evaluations = len(self.steps)
+        keys = {"step": np.repeat(self.steps, len(self.seeds)), "seed": np.tile(self.seeds, evaluations)}
+        metrics = {name: values.T.ravel() for name, values in self.metrics.items()}
+        chosen = {name: self._option_of_seeds(name) * evaluations for name in options}
+        return pandas.DataFrame({**keys, **metrics, **chosen})
+
+    def _option_of_seeds(self, name: str) -> list[Any]:
+        """Return the value of an option for each seed. Errors as `frame`."""
+        if name in ("env", "algo"):
+            return [getattr(self.config, name)] * len(self.seeds)
+        owners = (self.method, self.method.learner, self.env, self.config.build_setting())
+        known = {field.name: owner for owner in reversed(owners) for field in dataclasses.fields(owner)}
+        require_known("option", name, ["env", "algo", *known])
+        value = getattr(known[name], name)
+        return as_decimals(np.asarray(value)).tolist() if isinstance(value, jax.Array) else [value] * len(self.seeds)
 
     def summary(self, window: Window = DEFAULT) -> dict[str, str]:
         """Return what a run is and what it has reached, as printable texts by their titles."""

@@ -55,7 +55,7 @@ def test_evaluate_checks_its_arguments_before_it_reads_policies(folder, wrong):
 
 
 def test_a_run_is_read_from_its_folder_alone(trained):
-    with pytest.raises(ValueError, match="a run is read from its folder, a path, not from Result"):
+    with pytest.raises(ValueError, match=r"a run is read from its folder, a path, not from Result +task"):
         evaluate(trained[1])
 
 
@@ -157,9 +157,21 @@ def test_the_frame_has_the_rows_of_the_table(bare, monkeypatch):
     assert list(frame)[:2] == ["step", "seed"]
     rows = np.genfromtxt(bare.metrics, delimiter=",", names=True, deletechars="")
     np.testing.assert_equal(frame, {name: rows[name] for name in rows.dtype.names})
+    with pytest.raises(ValueError, match="unknown option 'learning'; did you mean 'learning_rate'"):
+        loaded.frame("learning")
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ValueError, match="a frame needs pandas: pip install pandas"):
         loaded.frame()
+
+
+def test_the_frames_of_runs_can_be_told_apart_by_any_option_defaults_too(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", types.SimpleNamespace(DataFrame=dict))
+    own = tiny_train("naive", steps=80, learning_rate=[1e-3, 3e-4], hidden_sizes=(16,), out=tmp_path / "own")
+    names = ("algo", "learning_rate", "discount", "hidden_sizes", "train_horizon", "alive_steps")
+    for result in (own, earl_jax.load(own.folder)):
+        columns = list(result.frame(*names).values())[-len(names) :]
+        assert columns[:2] == [["naive"] * 4, [1e-3, 3e-4] * 2]
+        assert [set(column) for column in columns[2:]] == [{0.99}, {(16,)}, {200_000}, {2000}]
 
 
 def test_a_result_is_shown_in_a_few_lines_and_text_of_others_as_text(trained, bare):
