@@ -45,7 +45,7 @@ OPTIMISM = (
 
 
 def best(
-    folders: Sequence[Path], test: Test = "permutation", window: Window = DEFAULT, metric: str | None = None
+    folders: Sequence[str | Path], test: Test = "permutation", window: Window = DEFAULT, metric: str | None = None
 ) -> list[Row]:
     """Return a row for each method and its options, by task and metric, the best first. Seeds of the same are pooled.
 
@@ -121,6 +121,13 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
     return "\n\n".join([*parts, *(wrapped(note, width) for note in notes)])
 
 
+def _ranges(ranks: Sequence[int]) -> str:
+    """Return ascending `ranks` as text, those of three and more that follow each other by the first and the last."""
+    runs = grouped(enumerate(sorted(set(ranks))), lambda pair: pair[1] - pair[0]).values()
+    spans = [[str(rank) for _, rank in run] for run in runs]
+    return ", ".join(f"{span[0]} to {span[-1]}" if len(span) > 2 else ", ".join(span) for span in spans)
+
+
 def _verdict_text(rows: Sequence[Row]) -> str:
     """Return which of the runs of a task cannot be told from its best, and whether any of them could be."""
     tested = [row for row in rows if not math.isnan(row["difference"])]
@@ -128,7 +135,7 @@ def _verdict_text(rows: Sequence[Row]) -> str:
     if not tested:
         return "There is no other run of the same length to compare with."
     text = f"Of {counted(len(tested), 'other')} of the same length, {len(unclear)} cannot be told from the best"
-    text += f": rank {', '.join(dict.fromkeys(str(row['rank']) for row in unclear))}." if unclear else "."
+    text += f": rank {_ranges([row['rank'] for row in unclear])}." if unclear else "."
     least = min((row["least_p"] for row in tested if not math.isnan(row["p"])), default=math.nan)
     if math.isnan(least):
         return text + " A test needs two seeds of each."

@@ -77,7 +77,7 @@ COLUMNS: tuple[Column, ...] = (
 
 
 def compare(
-    folders: Sequence[Path],
+    folders: Sequence[str | Path],
     against: Literal["runs", "published"] = "runs",
     metric: str | None = None,
     window: Window = DEFAULT,

@@ -72,7 +72,7 @@ def caption(smooth: int = 1, published: bool = False) -> str:
 
 
 def plot_runs(
-    folders: Sequence[Path],
+    folders: Sequence[str | Path],
     out: str | Path,
     names: Sequence[str] = (),
     metric: str | None = None,

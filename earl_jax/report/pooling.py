@@ -25,7 +25,7 @@ MOST_CAUSES = 5
 """Most causes in the error that no run can be used."""
 
 
-def find_runs(folders: Sequence[Path]) -> list[Path]:
+def find_runs(folders: Sequence[str | Path]) -> list[Path]:
     """Return the run folders among `folders`, and those below the others, each once; links are followed to runs alone.
 
     A `RunWarning` names a folder below them that cannot be read.
@@ -33,12 +33,13 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
     Raises:
         ValueError: a folder does not exist, holds no run, or is no `Path`.
     """
-    if not isinstance(folders, Sequence) or not all(isinstance(folder, Path) for folder in folders):
-        raise InputError(f"the folders must be a list of paths, such as [Path('runs')], not {brief(folders)}")
+    is_list = isinstance(folders, Sequence) and not isinstance(folders, str)
+    if not is_list or not all(isinstance(folder, str | os.PathLike) for folder in folders):
+        raise InputError(f"the folders must be a list of paths, such as ['runs'], not {brief(folders)}")
     if not folders:
         raise InputError("name at least one run folder, or a folder of them")
     paths: dict[Path, Path] = {}
-    for folder in folders:
+    for folder in map(Path, folders):
         if not folder.is_dir():
             raise InputError(f"{folder} is not a folder")
         below = [folder] if is_run(folder) else list(_runs_below(folder))
@@ -62,7 +63,7 @@ def _warn_of_unread(error: OSError) -> None:
 
 
 def gather(
-    folders: Sequence[Path], window: Window = DEFAULT, check: Check = lambda curves: None
+    folders: Sequence[str | Path], window: Window = DEFAULT, check: Check = lambda curves: None
 ) -> tuple[list[Curves], dict[Path, str]]:
     """Return the curves of the runs that `find_runs` finds, and the causes of those that are left out, by folder.
 
@@ -148,7 +149,9 @@ def _warn_if_shortened(run: Curves, parts: Sequence[Curves]) -> None:
         warn(f"{paths[0]} is pooled with {paths[1]} and {counted}")
 
 
-def read_all(folders: Sequence[Path], window: Window = DEFAULT, check: Check = lambda curves: None) -> list[Curves]:
+def read_all(
+    folders: Sequence[str | Path], window: Window = DEFAULT, check: Check = lambda curves: None
+) -> list[Curves]:
     """Return the pooled curves of `folders`. Runs below them that `gather` leaves out are named by a `RunWarning`.
 
     Raises:
@@ -156,7 +159,7 @@ def read_all(folders: Sequence[Path], window: Window = DEFAULT, check: Check = l
     """
     runs, left_out = gather(folders, window, check)
     for path, cause in left_out.items():
-        if path in folders:
+        if path in map(Path, folders):
             raise InputError(cause)
         warn(f"left out: {cause}")
     return runs
@@ -191,7 +194,7 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     return Curves(config, steps, Columns(folders[0].path, metrics), folders, parts[0].window)
 
 
-def read_methods(folders: Sequence[Path], window: Window = DEFAULT, metric: str | None = None) -> list[Curves]:
+def read_methods(folders: Sequence[str | Path], window: Window = DEFAULT, metric: str | None = None) -> list[Curves]:
     """Return the pooled runs of `folders` with a score by `metric`, by task and method in the paper's order.
 
     Errors as `read_all`.

@@ -79,7 +79,7 @@ class Table(NamedTuple):
 
 
 def tabulate(
-    folders: Sequence[Path], window: Window = DEFAULT, metric: str | None = None, names: Sequence[str] = ()
+    folders: Sequence[str | Path], window: Window = DEFAULT, metric: str | None = None, names: Sequence[str] = ()
 ) -> list[Row]:
     """Return one row per method: deployed and continuing scores over seeds, crossings, and the published scores.
 

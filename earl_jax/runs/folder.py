@@ -41,6 +41,9 @@ class RunFolder:
     logs: tuple[str, ...] = ()
     """Additional logs of the run's metrics, names in `logging.LOGS`."""
 
+    def __fspath__(self) -> str:
+        return str(self.path)
+
     @property
     def metrics(self) -> Path:
         """The table of metrics, with a row for each seed and evaluation."""

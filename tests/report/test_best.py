@@ -54,6 +54,7 @@ RANKED = [
     ({"bad": BAD, "dead": NAN, "good": GOOD}, "best, below, cannot tell", "cannot tell: a score is not finite"),
     ({"nan": NAN}, "cannot tell", "no other run of the same length"),
     ({f"n{n}": [n, n + 0.1] for n in range(5)}, "best" + 4 * ", cannot tell", "of so many permutation tests is 1."),
+    ({f"n{n}": [n, n + 0.1] for n in range(5)}, "best" + 4 * ", cannot tell", "from the best: rank 2 to 5."),
     ({"4": GOOD[:4], "bad": BAD[:4], "x": [0.5], "y": [0.6]}, "best, cannot tell, cannot tell, below", "two seeds"),
 ]
 """The scores of runs, their verdicts by rank, and a text about them."""

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from earl_jax import load
 from earl_jax.report import pooling
 from earl_jax.report.pooling import find_runs, gather, pooled, read_all, read_methods
 from earl_jax.report.runs import labels
 from earl_jax.runs.files import RunWarning
+from earl_jax.runs.folder import RunFolder
 from tests.report.run_files import TABLETOP, change_config, constant, rising, write_page_run, write_run
 
 
@@ -112,9 +114,16 @@ def test_no_runs_are_an_error(tmp_path):
         read_all([])
     with pytest.raises(ValueError, match=r"no config\.json in it or below"):
         read_all([tmp_path])
-    for folders in (tmp_path, str(tmp_path), [str(tmp_path)]):
-        with pytest.raises(ValueError, match=r"must be a list of paths, such as \[Path\('runs'\)\], not"):
+    for folders in (tmp_path, str(tmp_path), [1]):
+        with pytest.raises(ValueError, match=r"must be a list of paths, such as \['runs'\], not"):
             read_all(folders)
+
+
+def test_a_folder_is_a_path_a_text_or_that_of_a_result(tmp_path):
+    path = write_run(tmp_path / "run", TABLETOP, "naive", rising(1, 2))
+    for folder in (path, str(path), RunFolder.open(path)):
+        assert [curves.runs[0].path for curves in read_all([folder])] == [path]
+        assert load(folder).step == 20
 
 
 def test_a_folder_of_runs_stands_for_those_that_can_be_read(tmp_path):

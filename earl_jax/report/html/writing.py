@@ -32,7 +32,7 @@ LEAST_SECONDS = 1.0
 
 
 def write_page(
-    folders: Sequence[Path],
+    folders: Sequence[str | Path],
     out: str | Path,
     reload_seconds: float | None = None,
     policies: PolicyVideos | None = None,
@@ -104,7 +104,7 @@ def _packed(text: str) -> str:
 
 
 def watch_page(
-    folders: Sequence[Path],
+    folders: Sequence[str | Path],
     out: Path,
     every: float,
     emit: Callable[[str], None],
@@ -144,7 +144,7 @@ def watch_page(
             emit(f"{out} is of {_now()} and does not reload any more")
 
 
-def _files(folders: Sequence[Path]) -> Iterator[tuple[Path, int, int]]:
+def _files(folders: Sequence[str | Path]) -> Iterator[tuple[Path, int, int]]:
     """Yield path, size and time of each file that a page shows; a change of any means that the page is out of date."""
     for folder in folders:
         try:
