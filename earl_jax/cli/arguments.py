@@ -15,11 +15,14 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from earl_jax.errors import InputError
 from earl_jax.options.values import TimeLimit, parse_number, parse_whole
+from earl_jax.runs.files import RunWarning, format_warning
 
 SEED_TOKEN = re.compile(r"[\d_:,]+")
 """A count, a range or a list of seeds; no task is called so."""
 PYTHON_VALUES = {"True": True, "False": False, "None": None}
 """Values that the docs of options write as Python does, which JSON writes in lower case or as null."""
+WARNED: list[str] = []
+"""The warnings of runs that the command has printed."""
 REGISTRY = ConstructorRegistry()
 """The types that the parser of commands reads in another way than tyro."""
 
@@ -100,10 +103,21 @@ def parse_minutes(text: str | None) -> TimeLimit | None:
     return TimeLimit.of(minutes)
 
 
+def note_warning(message: Warning | str, category: type[Warning], *details: Any) -> str:
+    """Return a warning as a command prints it, and note that of a run for its JSON output."""
+    if issubclass(category, RunWarning):
+        WARNED.append(str(message))
+    return format_warning(message, category, *details)
+
+
 def emit(result: dict[str, Any], as_json: bool, text: str) -> None:
-    """Print `result` as one JSON object with `as_json`, else `text`; JSON has null where a number is not finite."""
+    """Print `result` as one JSON object with `as_json`, else `text`.
+
+    JSON has null where a number is not finite, and `warnings` if some were printed on stderr.
+    """
     if as_json:
-        text = json.dumps(json.loads(json.dumps(result), parse_constant=lambda _: None))
+        warned = {"warnings": WARNED} if WARNED else {}
+        text = json.dumps(json.loads(json.dumps({**result, **warned}), parse_constant=lambda _: None))
     print(text)
 
 

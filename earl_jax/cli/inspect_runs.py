@@ -189,7 +189,7 @@ def best(
     Args:
         folders: Folders of sweeps, or run folders; seeds of the same task, method and options are pooled.
         test: Test of the difference from the best run, adjusted by Holm. The permutation test needs more seeds.
-        top: Number of runs of each task to print.
+        top: Number of runs of each task to print; --json has all.
     """
     from earl_jax.metrics.scores import Window
     from earl_jax.report.best import best as best_runs, best_text

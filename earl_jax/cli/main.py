@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import tyro
 
 from earl_jax import __version__
-from earl_jax.cli.arguments import REGISTRY, join_seeds
+from earl_jax.cli.arguments import REGISTRY, WARNED, join_seeds, note_warning
 from earl_jax.cli.episodes import demos, export, import_demos, render
 from earl_jax.cli.help_text import readable
 from earl_jax.cli.inspect_runs import best, compare, evaluate, plot, report, show, table
@@ -24,7 +24,6 @@ from earl_jax.cli.xla_flags import HELP, set_flags, trains
 from earl_jax.errors import is_input_error
 from earl_jax.options import imports
 from earl_jax.options.environment import FRACTION, start_failure
-from earl_jax.runs.files import format_warning
 from earl_jax.runs.streams import LastingStream, lasting_streams
 
 FUNCTIONS = (
@@ -103,7 +102,8 @@ def _run(arguments: list[str], files: Sequence[str]) -> None:
     if HELP & set(arguments) and shutil.get_terminal_size().columns < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)
     gc.set_threshold(100_000, 50, 50)  # tracing makes many objects: collections take a third of its time by default
-    warnings.formatwarning = format_warning
+    WARNED.clear()
+    warnings.formatwarning = note_warning
     os.environ.setdefault(FRACTION, "0.95")
     set_flags(arguments)
     for file in files:

@@ -204,7 +204,7 @@ def _score(result: Any) -> tuple[dict[str, Any], str]:
     from earl_jax.report.runs import labelled, part_scores, parts
 
     score = result.score()
-    values = {score.metric: score._asdict(), DIVERGED: count_diverged(result.metrics)}
+    values = {"score": score._asdict(), DIVERGED: count_diverged(result.metrics)}
     if WIDE in result.metrics:
         values[WIDE] = result.score(metric=WIDE)._asdict()
     own = parts(result)

@@ -155,7 +155,7 @@ def locked(path: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise InputError(f"{path} is in use by another process") from None
+            raise InputError(f"{path} is in use by another process; repeat this when that has ended") from None
         except OSError as error:
             if error.errno not in WITHOUT_LOCKS:
                 raise OSError(f"{path} can't be locked: {error.strerror or error}") from error

@@ -16,7 +16,7 @@ from earl_jax import InputError, __version__, cli
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.provenance import made_by
 from earl_jax.training import load_transitions
-from tests.cli.process import ENVIRONMENT, TASK, one_line, run, start, succeed, training, wait_until
+from tests.cli.process import ENVIRONMENT, TASK, one_line, run, run_process, start, succeed, training, wait_until
 
 TRAIN = ["train", TASK]
 SWEEP = ["sweep", "nowhere.toml"]
@@ -27,7 +27,7 @@ def finished(tmp_path_factory):
     """The folder of a finished run."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
     printed = json.loads(succeed(*training(folder), "--json"))
-    assert set(printed["deployed/success"]) >= {"mean", "low", "high", "scores", "evaluations", "first", "last"}
+    assert set(printed["score"]) == {"metric", "mean", "low", "high", "scores", "evaluations", "first", "last"}
     return folder
 
 
@@ -44,6 +44,16 @@ def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
     mean = np.mean(printed["metrics"]["critic_loss"])
     assert f"critic_loss {mean:.6g}" in shown
     assert f"made by: earl-jax {made_by(printed['provenance'])}" in shown
+
+
+def test_json_has_the_warnings_that_are_printed(finished, tmp_path):
+    assert "warnings" not in json.loads(succeed("table", finished, "--json"))
+    shutil.copytree(finished, tmp_path / "a")
+    shutil.copytree(finished, tmp_path / "b")
+    code, out, err = run_process("table", tmp_path, "--json")
+    [warning] = json.loads(out)["warnings"]
+    assert re.search(r"left out: .*b has the same numbers of seed 0 as .*a; a seed counts once", warning)
+    assert (code, err) == (0, f"earl-jax: {warning}\n")
 
 
 def test_seeds_with_values_of_their_own_have_a_score_each(tmp_path):
