@@ -69,7 +69,8 @@ class NumpyPolicy:
         except OSError:
             raise
         except Exception as error:  # damage makes zipfile and NumPy raise errors of many types
-            raise ValueError(f"{path} is no policy of NumpyPolicy.save, or is damaged") from error
+            remedy = "of a run: earl_jax.load(RUN).policy().numpy().save(FILE)"
+            raise ValueError(f"{path} is no policy of NumpyPolicy.save, or is damaged; {remedy}") from error
 
 
 def _bf16(x: np.ndarray) -> np.ndarray:

@@ -62,8 +62,9 @@ def serve(task: dict[str, Any]) -> int:
             imports.note(**record)
         imports.run_noted()
         if "grid" in task:
-            check_logs(task.get("logs", ()))
-            report(state="planned", plan=worker.plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"]))
+            logs = task.get("logs", ())
+            check_logs(logs)
+            report(state="planned", plan=worker.plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"], logs))
             return 0
         configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
     except Exception as error:

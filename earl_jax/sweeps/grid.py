@@ -133,17 +133,16 @@ def _alternatives(options: dict[str, Any]) -> dict[str, list[Any]]:
     for name, value in sorted(options.items()):
         listed = value if isinstance(value, list) else [value]
         alternatives[name] = values = list(map(without_null, listed))
+        if name == "hidden_sizes" and not all(isinstance(value, list) for value in values):
+            raise InputError(
+                f"option hidden_sizes = {value} is a single alternative with one size per layer; write it as [{listed}]"
+            )
         if not values or len(set(map(_text, values))) < len(values):
             raise InputError(
                 f"option {name} = {values} must list at least one value, each once; a list holds alternatives"
             )
         if isinstance(values[0], dict):
             raise InputError(f"option {name} is for a search: earl-jax search draws options from distributions")
-        if name == "hidden_sizes" and not all(isinstance(value, list) for value in values):
-            raise InputError(
-                f"option hidden_sizes = {options[name]} is a single alternative with one size per layer; "
-                "write it as [[256, 256]]"
-            )
     return alternatives
 
 

@@ -32,11 +32,15 @@ STATES = {"RUNNING": "running", "COMPLETE": "done", "PRUNED": "pruned", "FAIL": 
 
 
 class Trial(NamedTuple):
-    """The sampled `options` of a run, its mean `scores` by step, and its `state`: running, done, pruned or failed."""
+    """The sampled `options` of a run, its mean `scores` by step, its `state`: running, done, pruned or failed, and its `name`.
+
+    That is its folder in the one of the search.
+    """
 
     options: dict[str, Any]
     scores: dict[int, float]
     state: str
+    name: str
 
 
 def search(
@@ -107,9 +111,13 @@ class Search:
     def history(self) -> list[Trial]:
         """Return all trials so far."""
         return [
-            Trial(self._options(trial), trial.intermediate_values, STATES[trial.state.name])
+            Trial(own, trial.intermediate_values, STATES[trial.state.name], self._spec(own).name)
             for trial in self.study.trials
+            for own in [self._options(trial)]
         ]
+
+    def _spec(self, own: dict[str, Any]) -> grid.RunSpec:
+        return dataclasses.replace(self.base, options={**self.base.options, **own})
 
     def _options(self, trial: Any) -> dict[str, Any]:
         return {name: option(self.spaces[name], value) for name, value in trial.params.items()}
@@ -122,8 +130,7 @@ class Search:
         for steps in self.rung_steps:
             schedule = self.base.schedule.changed(steps=steps)
             trials = [trial for trial in self._running() if steps not in trial.intermediate_values]
-            options = [{**self.base.options, **self._options(trial)} for trial in trials]
-            specs = [dataclasses.replace(self.base, options=own, schedule=schedule) for own in options]
+            specs = [dataclasses.replace(self._spec(self._options(trial)), schedule=schedule) for trial in trials]
             if specs:
                 self._train(specs)
             for trial, spec in zip(trials, specs, strict=True):

@@ -76,7 +76,7 @@ def program_groups(planned: Sequence[PlannedRun], max_lanes: int | None = None) 
 
 
 @package_types()
-def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
+def plan(path: Path, out: Path, max_lanes: int | None = None, logs: Sequence[str] = ()) -> dict[str, Any]:
     """Return the plan of a grid as JSON values (`launcher.plan_sweep` describes them); nothing is written.
 
     Raises:
@@ -84,7 +84,7 @@ def plan(path: Path, out: Path, max_lanes: int | None = None) -> dict[str, Any]:
     """
     check_folder(out)
     out = out.resolve()
-    planned = [planned_run(spec, out) for spec in grid.read(path)]
+    planned = [planned_run(spec, out, logs) for spec in grid.read(path)]
     groups = list(map(_described, program_groups(planned, max_lanes)))
     finished = [entry.name for entry in planned if entry.finished]
     return {"out": str(out), "imports": imports.records(), "finished": finished, "groups": groups}
@@ -103,7 +103,7 @@ def _described(group: list[PlannedRun]) -> dict[str, Any]:
     }
 
 
-def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
+def planned_run(spec: grid.RunSpec, out: Path, logs: Sequence[str] = ()) -> PlannedRun:
     """Return a run of a grid, after all checks that are possible before training. Errors as `plan`."""
     run, path = resolved_run(spec), out / spec.name
     if not has_results(path):
@@ -112,6 +112,8 @@ def planned_run(spec: grid.RunSpec, out: Path) -> PlannedRun:
     step, steps = newest(folder.checkpoints), folder.config.steps
     if step == 0 and policies_step(folder.policies) == steps == folder.table().step:
         step = steps  # of a finished run, whose checkpoints were removed
+    if step < run.config.steps and (missing := [log for log in logs if log not in folder.logs]):
+        raise InputError(f"{path} began without the log {missing[0]}; leave out --log, or choose another --out")
     return PlannedRun(name=spec.name, run=run, step=step)
 
 

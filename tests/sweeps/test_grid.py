@@ -111,7 +111,8 @@ def test_a_preset_is_overridden_by_the_values_of_its_block(tmp_path):
         (f"{RUN}options.x = [1, 1]", "option x"),
         (f"{RUN}options.x = [1, {'9' * 400}]", "option x is or holds a number that is too large"),
         (f"{RUN}options.x = {{ uniform = [0, 1] }}", "x is for a search: earl-jax search draws"),
-        (f"{RUN}options.hidden_sizes = [16, 32]", r"write it as \[\[256, 256\]\]"),
+        (f"{RUN}options.hidden_sizes = [16, 32]", r"write it as \[\[16, 32\]\]"),
+        (f"{RUN}options.hidden_sizes = [32, 32]", r"write it as \[\[32, 32\]\]"),
         (RUN + "".join(f"options.x{n} = {list(range(9))}\n" for n in range(9)), "more than 10000 runs"),
     ],
 )

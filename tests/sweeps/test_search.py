@@ -126,6 +126,9 @@ def test_a_run_that_fails_is_named_and_its_score_is_not_used(space, tmp_path, ba
     lines = []
     history = search(space, tmp_path / "out", trials=3, batch=3, rungs=1, emit=lines.append)
     assert sorted(trial.state for trial in history) == ["done", "done", "failed"]
+    for trial in history:
+        if trial.state == "done":
+            assert RunFolder.open(tmp_path / "out" / trial.name).config.options.items() >= trial.options.items()
     assert any(line.startswith("failed") and line.endswith("OSError: no space left") for line in lines)
 
 

@@ -187,6 +187,8 @@ def test_runs_of_a_grid_with_more_steps_go_on_from_their_last_checkpoint(tmp_pat
     """Runs that stop at step 80 stand for shorter ones, whose program would take long to compile."""
     out = tmp_path / "out"
     work(worker.plan(grid, out), out, limit=Limit(5))
+    with pytest.raises(ValueError, match="began without the log tensorboard; leave out --log, or choose another --out"):
+        worker.plan(grid, out, logs=["tensorboard"])
     for name in NAMES:
         RunFolder.open(out / name).record(steps=80)
     plan = worker.plan(grid, out)
