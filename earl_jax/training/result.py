@@ -13,7 +13,7 @@ import numpy as np
 
 from earl_jax.algos import Method
 from earl_jax.envs import Env
-from earl_jax.errors import InputError, printable, require_known
+from earl_jax.errors import InputError, brief, printable, require_known
 from earl_jax.metrics.scores import DEFAULT, Score, Scores, Window, as_decimals, lifetime_scores
 from earl_jax.options.seeds import lane_of
 from earl_jax.runs.checkpoint import newest
@@ -196,9 +196,13 @@ def select_seed(state: Any, i: int) -> Any:
 
     Raises:
         IndexError: there is no such lane.
+        ValueError: `state` has no arrays with a lane axis.
     """
     lanes = state.lanes if isinstance(state, TrainState) else state
-    count = jax.tree.leaves(lanes)[0].shape[0]
+    leaves = jax.tree.leaves(lanes)
+    if not leaves or not all(map(np.shape, leaves)):
+        raise InputError(f"select_seed takes result.train_state or result.policies, not {brief(state)}")
+    count = len(leaves[0])
     if not -count <= i < count:
         raise IndexError(f"no lane {i}: there are {count}")
     return _lane(lanes, i)

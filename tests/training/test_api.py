@@ -52,6 +52,8 @@ def test_a_seed_is_selected_and_its_policy_can_be_called(env):
     assert np.abs(result.policy(0)(obs) - action).max() > 1e-6
     with pytest.raises(IndexError, match="no lane 2: there are 2"):
         select_seed(result.train_state, 2)
+    with pytest.raises(ValueError, match=r"takes result\.train_state or result\.policies, not Result"):
+        select_seed(result, 0)
     assert repr(policy) == "Policy(obs [..., 12] -> action [..., 3], SAC, 16)"
     assert repr(result.policies).startswith("Policy[2](obs")
     assert "  step: int32[]\n" in repr(result.train_state)
