@@ -53,7 +53,7 @@ def _text(result: "Result", values: dict[str, Any], own: "list[Curves]") -> str:
 
     texts = result.summary(own[0].window)
     del texts["metrics"]
-    if len(own) > 1 and "score" in texts:
+    if "score" in texts:
         texts["score"] = f"\n{11 * ' '}".join(_scores(own))
     texts |= {
         "made by": printable(f"earl-jax {made_by(values['provenance']) or 'of an unknown version'}"),
@@ -74,10 +74,11 @@ def _text(result: "Result", values: dict[str, Any], own: "list[Curves]") -> str:
 
 
 def _scores(parts: "list[Curves]") -> list[str]:
-    """Return the score of each of the `parts` of a run, with its label if there are several."""
+    """Return the score of each of the `parts` of a run, with its diverged seeds, and its label if there are several."""
+    from earl_jax.metrics.continuing import diverged_text
     from earl_jax.report.runs import labelled
 
-    return labelled(parts, [str(part.score()) for part in parts])
+    return labelled(parts, [f"{part.score()}{diverged_text(part.diverged, part.seeds)}" for part in parts])
 
 
 def evaluate(

@@ -5,8 +5,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from earl_jax.envs import Env, State, balanced_starts
-from earl_jax.envs.starts import EVAL_PAIRS
+from earl_jax.envs import Env, State, balanced_starts, start_of
+from earl_jax.envs.starts import EVAL_PAIRS, STARTS
+from earl_jax.envs.state import tree_where
 from earl_jax.errors import InputError, require_known
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, EPISODES, require
@@ -20,25 +21,33 @@ WIDE_KEY = 1
 def episode(env: Env, policy: Callable, state: State, horizon: int) -> dict[str, jax.Array]:
     """Return `success` (at any step) and undiscounted `return` of one episode of `policy(obs) -> action` from `state`.
 
-    A broken simulation ends the episode: later steps earn no reward.
+    A step that breaks the simulation does not take place: the state stays as it was, and earns its reward again. With an
+    action that is not finite, the return is nan: an episode that ends early would beat others of negative rewards.
     """
 
     def step(carry, _):
-        state, intact, success, total = carry
-        try:
-            action = policy(state.obs)
-        except jax.errors.TracerArrayConversionError as error:
-            raise InputError(
-                "the policy needs arrays of NumPy: call it by jax.pure_callback (docs/custom_loops.md)"
-            ) from error
-        state = env.step(state, action)
-        intact &= ~env.fault(state)
-        success |= intact & env.success(state.obs)
-        return (state, intact, success, total + jnp.where(intact, state.reward, 0.0)), None
+        state, success, total = carry
+        action = _action(policy, state.obs)
+        moved = env.step(state, action)
+        is_broken = env.fault(moved)
+        state = tree_where(is_broken, state, moved)
+        success |= ~is_broken & env.success(state.obs)
+        return (state, success, total + jnp.where(jnp.isfinite(action).all(), state.reward, jnp.nan)), None
 
-    first = (state, jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros(()))
-    (_, _, success, total), _ = jax.lax.scan(step, first, length=horizon)
+    first = (state, jnp.zeros((), bool), jnp.zeros(()))
+    (_, success, total), _ = jax.lax.scan(step, first, length=horizon)
     return {"success": success.astype(jnp.float32), "return": total}
+
+
+def _action(policy: Callable, obs: jax.Array) -> jax.Array:
+    """Return `policy(obs)`; an InputError if it needs the values of `obs`, which a program that is compiled does not have."""
+    try:
+        return jnp.asarray(policy(obs))
+    except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError, AttributeError) as error:
+        if isinstance(error, AttributeError) and "Tracer" not in str(error):  # as PyTorch's conversion raises
+            raise
+        remedy = "write it in jax.numpy, or call it by jax.pure_callback (docs/custom_loops.md)"
+        raise InputError(f"the policy is compiled, and needs the values of its obs: {remedy}") from error
 
 
 @package_types()
@@ -48,29 +57,33 @@ def deployed(
     key: jax.Array,
     horizon: int,
     episodes: int,
-    start: Callable | None = None,
+    start: str | Callable = STARTS[0],
     wide: Callable | None = None,
     pairs: str = "random",
 ) -> dict[str, jax.Array]:
     """Return `deployed/success` and `deployed/return`, means over `episodes` fresh starts and task goals.
 
-    Starts are s0 ~ rho, or drawn by `start(key) -> State`. `pairs="balanced"` takes every pair of start and task goal
-    equally often instead (`balanced_starts`), which removes the chance of the draw from the mean. Success counts at any
+    Starts are s0 ~ rho, the task's `uniform` or `wide` ones, or drawn by `start(key) -> State`. `pairs="balanced"` takes
+    every pair of initial state and task goal equally often (`balanced_starts`), which removes the chance of the draw from
+    the mean. Success counts at any
     step, as in the released evaluations, whose values are exact multiples of 0.1, although the paper's text speaks of
     returns. With `wide(key) -> State` there is also `deployed/success_wide`, of as many episodes from such starts (ours;
     docs/formalism.md says why). They are part of the same scan, and change no other episode.
 
     Raises:
-        ValueError: `pairs` is unknown, `episodes` or `horizon` are no whole number from one on, or `policy` computes outside
-            jax.
+        ValueError: `pairs` or `start` is unknown, the task has no such starts, balanced ones are the initial states alone,
+            `episodes` or `horizon` are no whole number from one on, or `policy` computes outside jax.
     """
     require_known("pairs", pairs, EVAL_PAIRS)
     require("episodes", episodes, EPISODES)
     require("horizon", horizon, COUNT)
-    if pairs == "balanced":
+    draw = start if callable(start) else start_of(env, start)
+    if pairs == "random":
+        states = jax.vmap(draw)(jax.random.split(key, episodes))
+    elif start == STARTS[0]:
         states = balanced_starts(env, key, episodes)
     else:
-        states = jax.vmap(start or env.reset)(jax.random.split(key, episodes))
+        raise InputError(f"{pairs} pairs are those of the task's own starts: leave out pairs, or start")
     if wide is not None:
         wide_keys = jax.random.split(jax.random.fold_in(key, WIDE_KEY), episodes)
         states = jax.tree.map(lambda *parts: jnp.concatenate(parts), states, jax.vmap(wide)(wide_keys))

@@ -159,7 +159,8 @@ class Scores(NamedTuple):
 
 def lifetime_scores(steps: Any, metrics: dict[str, Any], metric: str) -> Scores:
     """Return the scores of lives evaluated at `steps [E]`, from `metrics` [..., E]; `metric` names the deployed one."""
-    require_known("metric", metric, metrics)
+    for name in (metric, CONTINUING):
+        require_known("metric", name, metrics)
     scores = metrics[metric]
     return Scores(scores[..., -1], deployed_area(steps, scores), metrics[CONTINUING][..., -1])
 

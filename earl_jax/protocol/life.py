@@ -126,6 +126,7 @@ def advance(env: Env, state: ProtocolState, action: jax.Array) -> tuple[Protocol
     after `attempt_steps`, and at interventions. In the continuing setting task goals change by schedule only. A goal
     of the agent's own stays (`set_goal`). C(A) counts the reward for the task goal, whatever goal the agent pursues.
     """
+    require_object("state of a life", state, ProtocolState, or_name=False)
     key, chance_key, goal_key, reset_key = jax.random.split(state.key, 4)
     env_state, is_task = env.step(state.env_state, action), ~state.goal_is_set
     earned = env.goal_reward(env_state, state.task_goal)

@@ -61,7 +61,13 @@ class Scene(contextlib.AbstractContextManager):
         self._renderer = _renderer(mujoco, self.model, size)
 
     def image(self, state: State) -> np.ndarray:
-        """Return the picture of one unbatched `state`, uint8 [h, w, 3]."""
+        """Return the picture of one unbatched `state`, uint8 [h, w, 3].
+
+        Raises:
+            ValueError: `state` is no `State`, or one of several lanes or of another task.
+        """
+        if not isinstance(state, State):
+            raise InputError(f"an image shows a State, which in a life is state.env_state, not {brief(state)}")
         mujoco, data, scene = self._mujoco, self._data, self._renderer.scene
         self._place(data, self._view.render_state(state))
         self._renderer.update_scene(data, self.camera, self._of_state)
@@ -76,6 +82,8 @@ class Scene(contextlib.AbstractContextManager):
         return self._renderer.render()
 
     def _place(self, data: Any, state: Any) -> None:
+        if (shape := np.shape(state.qpos)) != data.qpos.shape:
+            raise InputError(f"an image shows one state of its own task: qpos has shape {shape}, not {data.qpos.shape}")
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = state.qpos, state.mocap_pos, state.mocap_quat
         self._mujoco.mj_fwdPosition(self.model, data)
 

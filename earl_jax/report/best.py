@@ -9,6 +9,7 @@ import numpy as np
 
 from earl_jax.errors import require_known
 from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, smallest_p
+from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
 from earl_jax.options.values import COUNT, counted, require
@@ -24,7 +25,7 @@ Test = Literal["permutation", "welch"]
 COLUMNS: tuple[Column, ...] = (
     ("rank", lambda row: row["rank"]),
     ("run", lambda row: row["label"]),
-    ("seeds", lambda row: row["seeds"]),
+    ("seeds", lambda row: f"{row['seeds']}{diverged_text(row['diverged'], row['seeds'])}"),
     ("steps", lambda row: f"{row['steps']:,}"),
     ("score [95 %]", lambda row: interval_text(*Estimate.of_row(row, "score"))),
     ("best minus this [95 %]", lambda row: interval_text(*Estimate.of_row(row, "difference"))),
@@ -95,7 +96,7 @@ def _row(rank: int, curves: Curves, scores: np.ndarray, metric: str | None) -> R
     interval = interval_of(curves, scores, metric)
     return {
         "env": curves.env, "rank": rank, "method": curves.algo, "label": curves.label, "options": options_text(curves.options),
-        "metric": metric or curves.deployed_metric, "seeds": len(scores), "steps": curves.length,
+        "metric": metric or curves.deployed_metric, "seeds": len(scores), "diverged": curves.diverged, "steps": curves.length,
         "mean_over": curves.window.text, **interval.columns("score"),
         **dict.fromkeys(("difference", "difference_low", "difference_high", "p", "p_holm", "least_p", "detectable"), math.nan),
         "other_seeds": len(scores),

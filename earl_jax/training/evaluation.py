@@ -90,11 +90,12 @@ def evaluate(
     require("episodes", episodes, EPISODES)
     run = RunFolder.open(folder)
     env = with_engine(run.config.build_task(), engine)
-    start, pairs = start_of(env, starts), _pairs_of(run, starts, pairs)
+    start_of(env, starts)  # an error before the policies are read
+    pairs = _pairs_of(run, starts, pairs)
     policies = load_policies(run)
 
     def evaluate_policy(policy):
-        return deployed(env, policy, jax.random.key(seed), env.eval_horizon, episodes, start, pairs=pairs)
+        return deployed(env, policy, jax.random.key(seed), env.eval_horizon, episodes, starts, pairs=pairs)
 
     return {name: np.asarray(values) for name, values in jax.jit(jax.vmap(evaluate_policy))(policies).items()}
 

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from earl_jax.envs import make
+from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.errors import InputError
 from earl_jax.metrics.deployed import WIDE, deployed, episode
 
@@ -55,15 +57,49 @@ def test_an_evaluation_has_the_types_of_the_package_whatever_those_of_the_proces
         assert str(jax.make_jaxpr(evaluation)(KEY)) == expected
 
 
-def test_an_episode_ends_where_the_simulation_breaks(env):
-    """The policy's NaN breaks the simulation at once: no success, and a return of the steps before it, not NaN."""
-    result = jax.jit(lambda: episode(env, lambda obs: jnp.full(3, jnp.nan), env.reset(KEY), 10))()
-    assert (float(result["success"]), float(result["return"])) == (0.0, 0.0)
+class Fragile(TabletopOrganization):
+    """Tabletop whose simulation breaks where the gripper leaves the start."""
+
+    name = "fragile"
+
+    def fault(self, state):
+        return super().fault(state) | (jnp.abs(state.obs[:2]).max() > 0.5)
+
+
+def test_a_step_that_breaks_the_simulation_earns_the_reward_of_the_state_before_it(env):
+    """An episode that earned nothing from there on would beat those of a policy that keeps to its task."""
+    fragile = Fragile(reward_type="dense")
+    first = fragile.reset(KEY)
+
+    def leave(obs):
+        return jnp.array([1.0, 1.0, -1.0])
+
+    result = jax.jit(lambda: episode(fragile, leave, first, 10))()
+    states = [first := fragile.step(first, leave(first.obs)) for _ in range(10)]
+    intact = [state for state in states if not fragile.fault(state)]
+    assert 0 < len(intact) < 5
+    expected = sum(float(state.reward) for state in intact) + (10 - len(intact)) * float(intact[-1].reward)
+    assert float(result["return"]) == pytest.approx(expected, rel=1e-5)
+
+
+def test_an_action_that_is_not_finite_makes_the_return_nan_and_is_no_success(env):
+    def broken(obs):
+        return jnp.where(obs[0] > 0.3, jnp.nan, jnp.ones(3))
+
+    for task in (env, dataclasses.replace(env, reward_type="dense")):
+        result = jax.jit(lambda task=task: episode(task, broken, task.reset(KEY), 10))()
+        assert (float(result["success"]), np.isnan(result["return"])) == (0.0, True)
 
 
 def test_an_unknown_way_to_draw_pairs_and_no_episodes_are_refused(env):
     with pytest.raises(ValueError, match="unknown pairs 'stratified'; choose from random, balanced"):
         deployed(env, idle, KEY, 1, 4, pairs="stratified")
+    with pytest.raises(
+        ValueError, match="balanced pairs are those of the task's own starts: leave out pairs, or start"
+    ):
+        deployed(env, idle, KEY, 1, 4, start="uniform", pairs="balanced")
+    with pytest.raises(ValueError, match="unknown starts None; choose from initial, uniform, wide"):
+        deployed(env, idle, KEY, 1, 4, start=make("franka_kitchen").starts.uniform)
     for number, arguments in {"episodes": (1, 0), "horizon": (0, 1)}.items():
         with pytest.raises(ValueError, match=rf"{number} must lie in \[1, \d+\], not 0"):
             deployed(env, idle, KEY, *arguments)
@@ -81,3 +117,5 @@ def test_a_policy_of_numpy_is_called_from_the_program_or_refused_with_the_way(en
     assert float(deployed(dense, called, KEY, 5, 2)["deployed/return"]) == pytest.approx(float(expected), rel=1e-4)
     with pytest.raises(InputError, match=r"call it by jax\.pure_callback"):
         deployed(env, policy, KEY, 5, 2)
+    with pytest.raises(InputError, match=r"write it in jax\.numpy"):
+        deployed(env, lambda obs: jnp.zeros(3) if obs[0] > 0 else jnp.ones(3), KEY, 5, 2)

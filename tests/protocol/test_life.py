@@ -201,6 +201,8 @@ def test_a_jitted_step_can_donate_what_is_returned_outside_jit(env):
 def test_an_attempt_has_a_step_and_a_goal_the_tasks_shape_the_type_of_a_state_and_finite_numbers():
     with pytest.raises(ValueError, match="attempt_steps must lie in"):
         init(Chain(), Protocol(0, 4), KEYS[0], attempt_steps=0)
+    with pytest.raises(ValueError, match="the state of a life must be an object of ProtocolState, not State"):
+        advance(Chain(), Chain().reset(KEYS[0]), jnp.zeros(1))
     life = init(Chain(), Protocol(0, 4), KEYS[0])
     for goal, message in (([0, 0], r"has shape \(2,\), this task takes \(1,\)"), ([1e300], "is not finite: ")):
         with pytest.raises(ValueError, match=f"goal {message}"):

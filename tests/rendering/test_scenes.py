@@ -37,6 +37,10 @@ def test_images_show_the_state_and_the_goal(graphics, env):
     assert (without_goal != image).any()
     with Scene(env, SMALL, camera="above") as scene:
         assert (scene.image(start) != image).any()
+        with pytest.raises(ValueError, match=r"a State, which in a life is state\.env_state, not \["):
+            scene.image(start.obs)
+        with pytest.raises(ValueError, match=r"one state of its own task: qpos has shape \(2, .*\), not \("):
+            scene.image(jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), start))
 
 
 def test_unknown_cameras_and_sizes_and_tasks_without_pictures_are_refused(graphics, env):

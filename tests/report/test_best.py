@@ -130,3 +130,11 @@ def test_the_text_says_what_cannot_be_told_and_whether_it_could_be(tmp_path):
     assert max(map(len, best_text(few, width=70).splitlines())) <= 70
     with pytest.raises(ValueError, match=r"top must lie in \[1, 2147483647\], not 0"):
         best_text(few, top=0)
+
+
+def test_diverged_seeds_are_counted(tmp_path):
+    diverged = {"diverged": np.array([[0], [1], [1]])}
+    path = write_run(tmp_path / "run", TABLETOP, "naive", constant(*GOOD[:3])[:, :2], metrics=diverged)
+    assert "| 3, 2 of 3 diverged |" in best_text(best([path]))
+    for command in ("show", "best"):
+        assert "2 of 3 diverged" in succeed(command, path)
