@@ -19,7 +19,7 @@ A gripper carries a mug to one of four coasters, and the environment is not rese
 Five agents train on this task, each in its own copy of the environment, all in one jitted program on
 this machine. The page takes five to ten minutes on two CPU cores.
 
-To open this page in a checkout, `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
+To open this page in a checkout, run `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
 `01_train_five_seeds.py`, the same page as a script.
 """
 

@@ -19,7 +19,7 @@ This page trains naive RL and forward-backward RL (FBRL) on tabletop organizatio
 estimates their difference and its uncertainty, and shows the limits of five seeds. It takes about ten
 minutes on two CPU cores.
 
-To open this page in a checkout, `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
+To open this page in a checkout, run `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
 `02_compare_two_methods.py`, the same page as a script.
 """
 

@@ -19,7 +19,7 @@ This page defines a new method: one controller goes to the goal and back, and le
 transitions under other goals. The page tests the method's functions and trains it beside the same method
 without relabelling. It takes five to ten minutes on two CPU cores.
 
-To open this page in a checkout, `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
+To open this page in a checkout, run `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
 `03_write_a_method.py`, the same page as a script.
 """
 

@@ -21,7 +21,7 @@ an H200 that training takes six minutes. The page runs on a CPU too, with small 
 to learn: the outputs stored with it are those of two CPU cores shared with other work, where all success
 rates are near 0 and the speeds mean little.
 
-To open this page in a checkout, `pip install -e '.[cuda,notebook]'` (without `cuda` on a CPU) and
+To open this page in a checkout, run `pip install -e '.[cuda,notebook]'` (without `cuda` on a CPU) and
 `jupyter lab`. VS Code also runs `04_run_on_a_gpu.py`, the same page as a script.
 """
 

@@ -21,7 +21,7 @@ trains a sweep of whole lifetimes with their statistics in one jitted function, 
 It takes about ten minutes on two CPU cores, most of them for compilation. MJX is made for GPUs and TPUs; on
 a CPU, `auto` takes the C engine because that is faster.
 
-To open this page in a checkout, `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
+To open this page in a checkout, run `pip install -e '.[notebook]'` and `jupyter lab`. VS Code also runs
 `05_mjx_in_one_program.py`, the same page as a script.
 """
 
