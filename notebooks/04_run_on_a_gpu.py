@@ -15,11 +15,11 @@
 """
 # Fifty seeds on a GPU
 
-One lane leaves most of a GPU idle; fifty lanes share one program and its kernels. This page lists the
-devices, computes the memory of a run, measures the speed by number of lanes, and trains fifty seeds. On
-an H200 that training takes six minutes. The page runs on a CPU too, with small networks and too few steps
-to learn: the outputs stored with it are those of two CPU cores shared with other work, where all success
-rates are near 0 and the speeds mean little.
+One lane (a seed with its environment) leaves most of a GPU idle; fifty lanes share one program and its
+kernels. This page lists the devices, computes the memory of a run, measures the speed by number of lanes,
+and trains fifty seeds. On an H200 that training takes six minutes. The page runs on a CPU too, with small
+networks and too few steps to learn: the outputs stored with it are those of two CPU cores shared with
+other work, where all success rates are near 0 and the speeds mean little.
 
 To open this page in a checkout, run `pip install -e '.[cuda,notebook]'` (without `cuda` on a CPU) and
 `jupyter lab`. VS Code also runs `04_run_on_a_gpu.py`, the same page as a script.

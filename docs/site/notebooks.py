@@ -60,7 +60,7 @@ def _output(output: dict[str, Any], name: str, pictures: dict[str, bytes]) -> st
 
 def index(folder: Path) -> str:
     """Return the page that lists the notebooks of `folder`."""
-    lines = ["# Notebooks", "", "Each is a script in `notebooks/` and a notebook.", ""]
+    lines = ["# Notebooks", "", "Each page is a script and a notebook in `notebooks/`.", ""]
     for path in sorted(folder.glob("*.ipynb")):
         title = "".join(json.loads(path.read_text())["cells"][0]["source"]).splitlines()[0].strip("# ")
         lines.append(f"- [{title}]({path.stem}.ipynb)")
