@@ -64,7 +64,7 @@ def test_only_differences_that_the_seeds_show_are_listed(tmp_path, run):
         leaderboard.add(other, root)
     rows = leaderboard.tests(leaderboard.entries(root))
     text = leaderboard.tests_text(rows)
-    assert text.startswith("1 of 2 pairs differ. Elsewhere the seeds cannot tell (detectable on sparse tasks: 0.0")
+    assert text.startswith("1 of 2 pairs differ. For the others the seeds cannot tell (detectable on sparse tasks: 0.0")
     assert text.count("| naive (layer_norm=True, reward_scale=1.5) |") == 1
     assert "0.500 [" in text
     assert {row["question"] for row in rows} == {"runs of naive"}

@@ -11,6 +11,7 @@ import math
 import re
 import shutil
 import sys
+import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -194,10 +195,10 @@ def tests_text(rows: list[dict[str, Any]]) -> str:
         for row in rows
         if row["env"] in SPARSE and row["verdict"] == CANNOT_TELL and row["detectable"] > 0
     ]
-    text = f"{len(clear)} of {len(rows)} pairs differ. Elsewhere the seeds cannot tell"
+    text = f"{len(clear)} of {len(rows)} pairs differ. For the others the seeds cannot tell"
     text += f" (detectable on sparse tasks: {min(found):.2f} to {max(found):.2f})." if found else "."
     header = ("task", "run", "against", "at step", "difference [95 %]", "adjusted p")
-    return f"{text}\n\n{markdown_table(header, [_test_line(row) for row in clear])}"
+    return f"{textwrap.fill(text, 100)}\n\n{markdown_table(header, [_test_line(row) for row in clear])}"
 
 
 def _test_line(row: dict[str, Any]) -> list[str]:

@@ -30,7 +30,7 @@ METHODS = (
     "naive", "oracle", "fbrl", "fbrl controllers=1", "r3l", "vaprl", "bc", "risc", "medal", "rlpd", "rlpd utd=20", "cfbrl",
 )  # fmt: skip
 """Methods, each with options as `--set` takes them; the others are compared with the first."""
-HEADER = ("method", "steps/s", "ratio to the first")
+HEADER = ("method", "steps/s", "speed relative to the first")
 
 
 @dataclasses.dataclass(frozen=True)
