@@ -12,7 +12,7 @@ import numpy as np
 
 from earl_jax import assets
 from earl_jax.envs import Env, State, TaskDemos, chosen_engine, list_envs, make, with_engine
-from earl_jax.errors import InputError, require_known
+from earl_jax.errors import InputError, brief, require_known
 from earl_jax.options.seeds import lane_of
 from earl_jax.options.values import SEED, require
 from earl_jax.rendering.scenes import view_of
@@ -69,6 +69,9 @@ def actor_of(
         require("seed", seed, SEED)
     if acting is not None:
         require_known("acting", acting, ACTINGS)
+    if not isinstance(method, str | None):
+        own = "draw the states of a policy of your own with earl_jax.rendering.Scene"
+        raise InputError(f"policy is the name of a method, not {brief(method)}; {own}")
     if not is_run(source) and str(source) not in list_envs():
         raise InputError(f"{source} is neither a run folder nor a task; the tasks are {', '.join(list_envs())}")
     if method is not None and acting not in (None, "policy"):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos import Method
-from earl_jax.envs import start_of, with_engine, without_budget
+from earl_jax.envs import Env, start_of, with_engine, without_budget
 from earl_jax.envs.checks import require_result
 from earl_jax.envs.starts import EVAL_PAIRS, STARTS
 from earl_jax.envs.state import all_finite
@@ -86,6 +86,9 @@ def evaluate(
         ValueError: `folder` is not a run folder, it has no policies or they are damaged, or the task has no such starts.
     """
     require_jax()
+    if isinstance(folder, Env) or callable(folder):
+        own = "earl_jax.protocol.deployed(env, policy, key, horizon, episodes)"
+        raise InputError(f"evaluate takes a run folder; a policy of your own is evaluated by {own}")
     require("seed", seed, SEED)
     require("episodes", episodes, EPISODES)
     run = RunFolder.open(folder)

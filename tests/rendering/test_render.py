@@ -99,6 +99,7 @@ def test_a_sheet_shows_six_moments(graphics, tmp_path, expert_episode):
         ({"acting": "me"}, "unknown acting 'me'; choose from policy"),
         ({"source": "cheetah_run", "acting": "demos"}, "no acting 'demos'; choose from random"),
         ({"policy": "fbrl", "acting": "random"}, "'fbrl' and acting 'random' exclude each other"),
+        ({"policy": abs}, "policy is the name of a method, not <built-in function abs>; draw the states"),
         *[({name: 3, "out": "x.png"}, f"a sheet has no {name}: choose a film") for name in ("life", "fps")],
         ({"life": True, "acting": "demos"}, "demonstrations begin where they were recorded"),
         *[({"source": "all", "out": "x.png", **one}, "belongs to one task") for one in OF_ONE_TASK],
