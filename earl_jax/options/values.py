@@ -180,6 +180,8 @@ def _expected(field: dataclasses.Field, annotation: Any, value: Any) -> str | No
     may_be_none = default is None or type(None) in parts
     declared = next((part for part in parts if part is not type(None)), None) if may_be_none else annotation
     kind = declared if declared in KINDS else type(default)
+    if kind is int and "interval" in field.metadata and value is not None:  # `require` names its ends
+        return None if _is_whole(value) else "a whole number" + " or null" * may_be_none
     has_lanes = field.metadata.get("pytree_node", True)
     fits = kind not in KINDS or _fits(kind, value, has_lanes) or (value is None and may_be_none)
     return None if fits else KINDS[kind] + " or null" * may_be_none
