@@ -7,6 +7,7 @@ import dataclasses
 from typing import Any, ClassVar, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from earl_jax.algos.goals import GoalIndices, Goals
 from earl_jax.algos.learner.base import Batch, Learner
@@ -15,6 +16,7 @@ from earl_jax.algos.learner.replay import CONTROLLERS, TransitionBatch
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.pytree import OptionsNode
 from earl_jax.envs import Env
+from earl_jax.envs.checks import require_like
 from earl_jax.errors import InputError, brief
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check_intervals, require, require_object
 
@@ -161,7 +163,10 @@ class Method(OptionsNode):
         self, key: jax.Array, env: Env, agent: Any, batch: Batch, phase: jax.Array, method_state: Any
     ) -> tuple[Any, Any, dict[str, jax.Array]]:
         """Return the acting controller and `method_state` after learning from `batch`, and `Learner.diagnostics`."""
-        agent, diagnostics = self.learner.update(key, agent, batch)
+        updated = self.learner.update(key, agent, batch)
+        known = agent, dict.fromkeys(self.learner.diagnostics, jnp.zeros(()))
+        require_like(f"learner {self.learner.name}: update must return (agent, diagnostics)", updated, known)
+        agent, diagnostics = updated
         return agent, method_state, diagnostics
 
     def refresh(

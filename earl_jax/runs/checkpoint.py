@@ -148,7 +148,11 @@ def _joined(folders: Sequence[Path], parts: Sequence[dict[str, np.ndarray]], siz
         for name in expected.keys() & arrays.keys():
             if arrays[name].dtype == f"V{expected[name].dtype.itemsize}":  # as NumPy writes bfloat16
                 arrays[name] = arrays[name].view(expected[name].dtype)
-        wanted = {name: (leaf.dtype, (size, *leaf.shape[1:])) for name, leaf in expected.items()}
-        if {name: (array.dtype, array.shape) for name, array in arrays.items()} != wanted:
-            raise InputError(f"a checkpoint in {folder} does not belong to this run: its arrays have other shapes")
+        wanted = {name: f"{leaf.dtype}{[size, *leaf.shape[1:]]}" for name, leaf in expected.items()}
+        found = {name: f"{array.dtype}{[*array.shape]}" for name, array in arrays.items()}
+        if found != wanted:
+            name, _ = min(found.items() ^ wanted.items())
+            there, here = (shapes.get(name, "missing") for shapes in (found, wanted))
+            cause = f"{name} is {there} there and {here} here; have the task, the method or the learner changed?"
+            raise InputError(f"a checkpoint in {folder} does not belong to this run: {cause}")
     return typed({name: np.concatenate([arrays[name] for arrays in parts]) for name in expected}, like)

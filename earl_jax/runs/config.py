@@ -12,7 +12,7 @@ import numpy as np
 from earl_jax.algos import Method, make_algo, preset_learner
 from earl_jax.algos.method import check_method
 from earl_jax.envs import Env, make
-from earl_jax.errors import InputError, brief, require_known
+from earl_jax.errors import PACKAGE, InputError, brief, require_known
 from earl_jax.metrics.scores import as_decimals
 from earl_jax.options.imports import Record, check_records, latest, records, short_hash
 from earl_jax.options.registry import ALGOS, ENVS, LEARNER, LEARNERS, Registry, class_name
@@ -216,18 +216,30 @@ class RunConfig:
 def method_options(method: Method) -> dict[str, Any]:
     """Return the hyper-parameters of `method` that differ from its class's defaults, as plain values.
 
-    `learner` is the name of a learner of another class than the method's own.
+    `learner` is the name of a learner of another class than the method's own. Of classes outside this package, whose
+    defaults can change, the defaults are there too.
     """
     default, learner = type(method)(), type(method.learner)
     options: dict[str, Any] = {} if learner is type(default.learner) else {"learner": learner.name}
-    for part, other in ((method.learner, preset_learner(type(method), learner)), (method, default)):
+    preset = preset_learner(type(method), learner) if _is_ours(method) else learner()
+    for part, other in ((method.learner, preset), (method, default)):
         for field in dataclasses.fields(part):
             plain, usual = _plain(getattr(part, field.name)), getattr(other, field.name)
             if isinstance(usual, bool) and isinstance(plain, float):
                 plain = bool(plain)  # lanes have flags as numbers
-            if field.name != "learner" and plain != usual:
+            if field.name != "learner" and (plain != usual or _can_change(part, plain)):
                 options[field.name] = plain
     return options
+
+
+def _is_ours(owner: Any) -> bool:
+    return type(owner).__module__.partition(".")[0] == PACKAGE.name
+
+
+def _can_change(owner: Any, value: Any) -> bool:
+    """Return whether the default `value` of a field of `owner` can change between releases of this package, and is storable."""
+    items = value if isinstance(value, tuple) else (value,)
+    return not _is_ours(owner) and all(isinstance(item, bool | int | float | str | None) for item in items)
 
 
 def _require_equal(registry: Registry, own: Mapping[str, Any], given: Mapping[str, Any]) -> None:
@@ -251,9 +263,9 @@ def _plain(value: Any) -> Any:
 
 
 def _changed_options(options: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass that differ from its defaults."""
+    """Return the fields of a dataclass that differ from its defaults, and the others as `method_options`."""
     values = ((field, _plain(getattr(options, field.name))) for field in dataclasses.fields(options))
-    return {field.name: value for field, value in values if value != field.default}
+    return {field.name: value for field, value in values if value != field.default or _can_change(options, value)}
 
 
 def _registered_class(registry: Registry, name: str) -> str | None:

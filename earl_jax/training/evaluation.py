@@ -54,7 +54,9 @@ def _own_metrics(method: Method, lane: LaneState, taken: set[str]) -> dict[str, 
     own = {**lane.counters.diagnostics, **{f"{method.name}/{name}": value for name, value in of_method.items()}}
     for name, value in own.items():
         if name in taken:
-            raise InputError(f"{name!r} is a column of every metrics.csv: give this scalar of the learner another name")
+            raise InputError(
+                f"{name!r} is a column of every metrics.csv: give this scalar of the learner or the method another name"
+            )
         require_result(f"the column {name!r} of metrics.csv", value, (), "number")
     return {name: value + 0 for name, value in own.items()}  # a bool as 0 or 1
 

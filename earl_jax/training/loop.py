@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
@@ -120,6 +121,7 @@ def act_and_start(
         action = method.act(key, problem.env, actor, lane.env_state.obs, _moment(lane, step), lane.method_state)
         action = jnp.asarray(action, jnp.float32)
         require_result(f"{method.name}: the action from act", action, (problem.env.action_size,), "number")
+        action = jnp.clip(action, -1.0, 1.0)  # as `start_step` does, so that the replay has what was done
         action = action if warmup is False else jnp.where(warmup, _random_action(problem, key), action)
     return action, problem.env.start_step(lane.env_state, action)
 
@@ -155,8 +157,11 @@ def learn(
     env, phase = problem.env, lane.phase
     sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
     require_tuple(f"{method.name}: prepare", sampled, TransitionBatch)
+    size = sampled.action.shape[:1]
+    if sampled.goal is not None:
+        goal = np.shape(problem.goals.table)[1:]
+        require_result(f"{method.name}: the goal from prepare", sampled.goal, (*size, *goal), "number")
     batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
-    size = batch.action.shape[:1]
     for name, shape in {"obs": (*size, env.observation_size), "reward": size, "terminal": size}.items():
         require_result(f"{method.name}: the {name} from prepare", getattr(batch, name), shape, "number")
     agent = select_controller(lane.agent, controller)

@@ -3,12 +3,14 @@
 import dataclasses
 import json
 from fractions import Fraction
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from flax import struct
 
 import earl_jax
+from earl_jax.algos import SAC
 from earl_jax.algos.naive import Naive
 from earl_jax.envs import HelpBudget
 from earl_jax.errors import InputError
@@ -70,6 +72,27 @@ def test_a_class_that_its_name_does_not_build_is_recorded_and_required(env):
     assert config.algo_class == f"{__name__}:{Impostor.__qualname__}"
     with pytest.raises(ValueError, match=r"call earl_jax\.register_algo\('naive', Impostor\)"):
         config.build_method()
+
+
+@pytest.mark.usefixtures("registries")
+def test_a_class_of_ones_own_is_built_as_it_was_after_its_defaults_have_changed():
+    """Without its defaults, a run of an edited class would be resumed and pooled as another one."""
+
+    def registered(default_pace, default_steps):
+        class Paced(Naive):
+            name: ClassVar[str] = "paced"
+            pace: float = default_pace
+            learner: SAC = SAC(random_steps=default_steps)
+
+        earl_jax.register_algo("paced", Paced)
+        return Paced()
+
+    config = through_json(make_config(Chain(), registered(0.5, 7)))
+    assert config.options.items() >= {"pace": 0.5, "random_steps": 7}.items()
+    assert "batch_size" not in config.options, "a default of a learner of this package"
+    changed = registered(2.0, 9)
+    method = config.build_method()
+    assert (method.pace, method.learner.random_steps) == (0.5, 7) != (changed.pace, changed.learner.random_steps)
 
 
 @pytest.mark.usefixtures("no_training")

@@ -156,7 +156,8 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
 
     def lived(**functions):
         members = {"name": "odd", "refresh_every": 2, **functions}
-        method = per_lane(type("Odd", (Method,), members)(SAC(hidden_sizes=(8,), batch_size=16)), 2)
+        learner = members.pop("learner", SAC)(hidden_sizes=(8,), batch_size=16)
+        method = per_lane(type("Odd", (Method,), members)(learner), 2)
         return scan.run_steps(problem, method, init_train_state(problem, method, keys, 4), 4)
 
     same = "with the same leaves, but"
@@ -167,7 +168,8 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
         ("ends_phase", lambda *_: None, r"ends_phase returns must be bool\[\], not None"),
         ("prepare", lambda *_: None, r"prepare must return TransitionBatch\(row, .*, not an object of NoneType"),
         ("prepare", lambda *of: of[4]._replace(reward=of[4].reward[:, None]), r"the reward .*, not float32\[16, 1\]"),
-        ("prepare", lambda *of: of[4]._replace(goal=of[4].state[:, :0]), r"obs from .* number\[16, 2\], not float32\[16, 1\]"),
+        ("prepare", lambda *of: of[4]._replace(goal=of[4].reward), r"goal from .* number\[16, 1\], not float32\[16\]"),
+        ("prepare", lambda *of: of[4]._replace(state=of[4].state[:, :0]), r"obs from .* number\[16, 2\], not float32\[16, 1\]"),
         ("learn", lambda *_: None, rf"learn must return .*Learner.diagnostics\) {same} \[0\].* was .*\[8\] and is missing"),
         ("learn", lambda *of: (of[3], of[6], {"loss": 1.0}), rf"{same} \[2\]\['critic_loss'\] was float32\[\] and is missing"),
         ("pretrain", lambda *_: None, rf"pretrain must return the agent {same} .* was float32\[.*\] and is missing"),
@@ -176,6 +178,17 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
         with pytest.raises(ValueError, match=f"odd: .*{message}"):
             jax.eval_shape(functools.partial(lived, **{name: function}))
     assert jax.eval_shape(functools.partial(lived, act=lambda *_: [1])).replay.action.dtype == jnp.float32
+    learner = type("Odd", (SAC,), {"name": "mine", "update": lambda self, key, agent, batch: (agent, {})})
+    with pytest.raises(ValueError, match=r"mine: update must return \(agent, diagnostics\) .* \[1\]\['critic_loss'\]"):
+        jax.eval_shape(functools.partial(lived, learner=learner))
+
+
+def test_the_replay_has_the_clipped_actions_which_the_environment_takes():
+    problem = make_problem(Chain(train_horizon=0, eval_horizon=8))
+    loud = type("Loud", (Method,), {"name": "loud", "act": lambda self, *_: jnp.array([5.0])})
+    method = per_lane(loud(SAC(hidden_sizes=(8,), batch_size=16, random_steps=0)), 2)
+    state = run_whole(problem, method, make_train_state(problem, method, [0, 1]), 4)
+    assert np.unique(state.replay.action[:4]).tolist() == [1.0]
 
 
 def test_a_life_that_starts_empty_learns_from_its_second_step_on():

@@ -185,7 +185,7 @@ def test_commands_whose_start_takes_all_minutes_train_a_chunk_and_print_how_to_c
     expected = {"out": str(folder), "stopped": True, "steps": 40, "resume": f"earl-jax resume '{folder}'"}
     printed = json.loads(succeed("resume", folder, "--minutes", "1e-9", "--json"))
     assert {name: printed[name] for name in expected} == expected
-    assert len(printed["deployed/success"]["scores"]) == 2
+    assert len(printed["score"]["scores"]) == 2
     line = f"stopped at step 60 of 120, the minutes have run out; continue with: earl-jax resume '{folder}'"
     assert succeed("resume", folder, "--minutes", "1e-9").splitlines()[1] == line
     printed = json.loads(succeed("resume", folder, "--json"))
