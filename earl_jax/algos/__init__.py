@@ -46,7 +46,7 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     for option, value in options.items():
         if option not in known:
             names = [*sorted({*known, "learner"}), *FIELDS]
-            raise _unknown_option(name, option, value, names)
+            raise _unknown_option(name, option, value, names, None if learner is None else base.name)
     options = {option: _leaf(known[option], value) for option, value in options.items()}
     changed = {option: value for option, value in options.items() if option in shared}
     check(f"method {name!r}", type(base), changed)
@@ -54,14 +54,18 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     return ALGOS.make(name, learner=base.replace(**changed), **rest)
 
 
-def _unknown_option(name: str, option: str, value: Any, known: Sequence[str]) -> InputError:
+def _unknown_option(name: str, option: str, value: Any, known: Sequence[str], learner: str | None) -> InputError:
     """Return the error of an `option` that the method `name` lacks: the fix, or the nearest `known` names and where all are.
 
-    Names that are `known` and no options are those of the schedule.
+    Names that are `known` and no options are those of the schedule. `learner` is the name of one that was chosen.
     """
     from difflib import get_close_matches
 
     owner, one = f"method {name!r}", brief(value)
+    if learner and option in {field.name for field in dataclasses.fields(SAC)}:
+        return InputError(
+            f"{owner} has no option {option!r} with the learner {learner!r}: leave it out, or the preset with it"
+        )
     if option == "seeds" or option in known:
         flag = option.replace("_", "-")
         return InputError(
