@@ -32,6 +32,11 @@ class Goals(NamedTuple):
         """Demonstrated states [C, g], the subgoals of a curriculum."""
         return self.table[self.tasks + self.initials :]
 
+    def lacks(self, indices: "GoalIndices") -> jax.Array:
+        """Return whether one of `indices` is none of a goal or of a task goal here, bool []."""
+        is_goal = (indices.goal >= 0) & (indices.goal < len(self.table))
+        return ~(is_goal & (indices.task >= 0) & (indices.task < self.tasks))
+
     def draw_task(self, key: jax.Array) -> jax.Array:
         """Return the index of a task goal: the one that the environment sets, or a uniform draw."""
         drawn = jax.random.randint(key, (), 0, self.tasks)

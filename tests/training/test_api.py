@@ -150,6 +150,17 @@ def test_a_goal_outside_the_goal_table_or_a_task_that_is_no_task_goal_ends_train
         train(Chain(), Stray(episode_length=5), seeds=1, steps=20, eval_every=20, eval_episodes=1)
 
 
+def test_a_goal_outside_the_goal_table_is_named_when_later_goals_are_in_it_again():
+    class Passing(Naive):
+        name = "passing"
+
+        def next_goal(self, key, goals, phase, current, method_state):
+            return GoalIndices(jnp.array([2, 2, 3, 0])[current.goal], jnp.int32(0))
+
+    with pytest.raises(InputError, match=r"passing: next_goal returned the indices \[3\] as the goal of its lanes"):
+        train(Chain(), Passing(episode_length=5), seeds=1, steps=40, eval_every=40, eval_episodes=1)
+
+
 @pytest.mark.parametrize("name", ["obs", "reward"])
 def test_a_reset_to_values_that_are_not_finite_is_refused(name):
     """A dense reward that is never finite used to be a fault in each step, and the return of each episode 0."""
