@@ -279,7 +279,7 @@ def _next_goals(
     fresh = method.next_goal(key, goals, phase, current, lane.method_state)
     goal_indices = tree_where(end.phase_ended, fresh, lane.goal_indices)
     goal_indices = goal_indices._replace(task=jnp.where(env_sets, requested, goal_indices.task))
-    return tree_where(goals.lacks(lane.goal_indices), lane.goal_indices, goal_indices)  # kept until `check_lanes` names it
+    return tree_where(goals.lacks(lane.goal_indices), lane.goal_indices, goal_indices)  # until the check
 
 
 def _moment(lane: LaneState, step: jax.Array) -> Moment:
