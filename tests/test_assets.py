@@ -63,7 +63,7 @@ def test_dhand_grasps_can_be_recorded_and_used(tmp_path):
     np.testing.assert_array_equal(with_demos.demonstrations.load("forward").actions, recorded.actions)
     with pytest.raises(ValueError, match=r"another task or variant .*: its forward states have 32 numbers, not 35"):
         dataclasses.replace(with_demos, variant="paper").demonstrations.load("forward")
-    with pytest.raises(ValueError, match=r"dhand_lightbulb: .* script missed \[.*\] in 5 steps"):
+    with pytest.raises(ValueError, match=r"dhand_lightbulb: .* script missed the goal \[.*\] in 5 steps"):
         scripted.record(env, start, np.random.default_rng(0), steps=5)
 
 

@@ -28,16 +28,16 @@ PAPER_TASKS = (
 """The six tasks of the paper, in its order."""
 
 list_envs = ENVS.names
-"""`list_envs()` returns the names that `make` takes, sorted."""
+"""`list_envs()` returns the names that `make` accepts, sorted."""
 register_env = ENVS.register
-"""`register_env(name, cls)` registers the `Env` subclass `cls` for `make`. A name that is taken is a ValueError."""
+"""`register_env(name, cls)` registers the `Env` subclass `cls` for `make`. A name that is taken raises a ValueError."""
 env_class = ENVS.get
 
 
 def make(name: str, /, **options: Any) -> Env:
-    """Return the task `name` with these options, as in `make("tabletop_organization", wide=True)`.
+    """Return the task `name` with these options, for example `make("tabletop_organization", wide=True)`.
 
     Raises:
-        ValueError: the name or an option is unknown, or a value has another type; the message lists the choices.
+        ValueError: the name or an option is unknown, or a value has the wrong type; the message lists the choices.
     """
     return ENVS.make(name, **options)

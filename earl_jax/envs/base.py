@@ -1,4 +1,4 @@
-"""The contract of every task: the goal-conditioned `Env` and its pure functions; and the tasks of plain arithmetic."""
+"""The interface of every task: the goal-conditioned `Env`, and `KinematicEnv` for tasks of plain arithmetic."""
 
 import abc
 import dataclasses
@@ -27,28 +27,28 @@ if TYPE_CHECKING:
 class Env(abc.ABC):
     """A goal-conditioned environment without resets: pure `reset` and `step`, unbatched, jittable, hashable.
 
-    Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`. Actions lie
-    in [-1, 1] and are clipped. An env never resets itself and never ends an episode: the protocol does both.
+    Fields are the options of a task; use `dataclasses.replace` for a variant. `obs = concat(state, goal)`. Actions are
+    clipped to [-1, 1]. An env never resets itself and never ends an episode: the protocol does both.
 
-    A task of plain arithmetic is a `KinematicEnv`, one with a MuJoCo model a `MujocoEnv`. What only some tasks have is one
-    object each: `map`, `starts`, `object_position`, `demonstrations` and `view`.
+    Tasks of plain arithmetic subclass `KinematicEnv`, tasks with a MuJoCo model `MujocoEnv`. Each feature that only
+    some tasks have is one attribute: `map`, `starts`, `object_position`, `demonstrations` and `view`.
     """
 
     reward_type: Literal["sparse", "dense"] = "sparse"
     """The reward: 1 on success and 0 elsewhere (sparse), or shaped (dense)."""
     train_horizon: int = 200_000
-    """H_T: steps between hard interventions in training; 0 for never, the full autonomy of the paper's definition."""
+    """H_T: steps between hard interventions in training; 0 for never, which the paper defines as full autonomy."""
     eval_horizon: int = 200
     """H_E: steps of an evaluation episode, and of a phase of most methods."""
     demo_file: str | None = None
-    """An npz of `earl-jax demos` or `earl-jax import-demos` to use instead of the demonstrations that ship."""
+    """An npz file from `earl-jax demos` or `earl-jax import-demos`, used instead of the demonstrations that ship."""
 
     name: ClassVar[str]
     has_absorbing_state: ClassVar[bool] = False
     """Whether this environment has an absorbing end state, which `State.done` reports."""
 
     def __init_subclass__(cls, **options: Any):
-        """Give functions of every task the package's types, as `step` has them, and protect the arrays of its class."""
+        """Run the functions of a task under the package's jax types, as `step` does, and make its arrays read-only."""
         super().__init_subclass__(**options)
         check_overrides(cls)
         if "reset" in vars(cls):
@@ -84,7 +84,7 @@ class Env(abc.ABC):
 
     @property
     def observation_size(self) -> int:
-        """Length s + g of `obs`: state and goal."""
+        """Length s + g of `obs`, the state followed by the goal."""
         return self.state_size + self.goal_size
 
     @property
@@ -99,7 +99,7 @@ class Env(abc.ABC):
 
     @property
     def sparse(self) -> bool:
-        """Whether the reward is 1 on success and 0 elsewhere, so that reaching a goal ends a virtual episode."""
+        """Whether the reward is 1 on success and 0 elsewhere. If it is, reaching a goal ends a virtual episode."""
         return self.reward_type == "sparse"
 
     @property
@@ -115,11 +115,11 @@ class Env(abc.ABC):
     @property
     @abc.abstractmethod
     def initial_states(self) -> np.ndarray:
-        """Representative states of the initial distribution rho, float32 [I, s], in the layout of a goal."""
+        """Representative states of the initial distribution rho in the layout of a goal, float32 [I, g]."""
 
     @abc.abstractmethod
     def reset(self, key: jax.Array) -> State:
-        """Return a state with s0 ~ rho, whose observation is finite, and a task goal drawn uniformly."""
+        """Return a start s0 ~ rho with a task goal that is drawn uniformly; its observation must be finite."""
 
     @abc.abstractmethod
     def success(self, obs: jax.Array) -> jax.Array:
@@ -130,37 +130,36 @@ class Env(abc.ABC):
         """Return the reward of arriving in `obs [..., s + g]`, float32 [...]."""
 
     def fault(self, state: State) -> jax.Array:
-        """Return whether the simulation of the step to `state` broke, bool []: a value in it or its reward is not finite.
+        """Return whether the simulation broke in the step to `state`, bool []: its data, obs or reward is not finite.
 
-        Tasks with a workspace also report a body outside it. After a fault, the training loop resets the lane to s0 ~
-        rho.
+        Tasks with a workspace also report a body outside it. After a fault, training resets the lane to s0 ~ rho.
         """
         return ~all_finite((state.data, state.obs, state.reward))
 
     def irreversible(self, state: State) -> jax.Array:
-        """Return whether the agent can never leave `state` by itself, bool []; by default this is a `fault`.
+        """Return whether the agent can never leave `state` by itself, bool []; by default only after a `fault`.
 
-        The plain environment takes no action. `HelpBudget` enforces an intervention.
+        The plain environment does nothing about such a state. `HelpBudget` enforces an intervention.
         """
         return self.fault(state)
 
     def intervene(self, key: jax.Array, state: State) -> State:
-        """Return the state after a hard intervention in `state`: s0 ~ rho, with the values that persist."""
+        """Return the state after a hard intervention: by default a start s0 ~ rho, which keeps nothing of `state`."""
         return self.reset(key)
 
     @property
     def continuing(self) -> ContinuingDefaults:
-        """The numbers of the paper's continuing setting, by default a goal change every 2 H_E steps."""
+        """The task's numbers in the paper's continuing setting, by default a goal change every 2 H_E steps."""
         return ContinuingDefaults(goal_change=2 * self.eval_horizon)
 
     @property
     def map(self) -> Map | None:
-        """The map of visited positions; None for a task without."""
+        """The map of visited positions; None if the task has no map."""
         return None
 
     @property
     def starts(self) -> Starts:
-        """The distributions of starts beside s0 ~ rho, by default none."""
+        """Further distributions of starts besides s0 ~ rho, by default none."""
         return Starts()
 
     @property
@@ -170,14 +169,14 @@ class Env(abc.ABC):
 
     @property
     def demonstrations(self) -> TaskDemos:
-        """The recorded demonstrations, by default without an expert and a script."""
+        """The demonstrations: by default recorded ones alone, without a scripted expert or a script to record more."""
         return TaskDemos(self.name, self.demo_file, (self.state_size, self.goal_size, self.action_size))
 
     @property
     def object_position(self) -> Callable[[State], jax.Array] | None:
-        """A function of a state: the position [k] of what the agent has to move, without noise; None for a task without.
+        """A function from a state to the noise-free position [k] of the object to move; None if there is no object.
 
-        `continuing/still_steps` counts the steps since it last moved.
+        The metric `continuing/still_steps` counts the steps since the object last moved.
         """
         return None
 
@@ -186,8 +185,7 @@ class Env(abc.ABC):
         """Return the state after one control step with `action [a]` in [-1, 1].
 
         Raises:
-            ValueError: the action has another shape, or (outside jit, where values are known) is not finite, or `state` is
-                no `State`.
+            ValueError: the action has another shape or (outside jit) is not finite, or `state` is not a `State`.
         """
         if not isinstance(state, State):
             raise InputError(f"{self.name}: step takes the State that reset or step returned, not {brief(state)}")
@@ -195,7 +193,7 @@ class Env(abc.ABC):
 
     @abc.abstractmethod
     def start_step(self, state: State, action: jax.Array) -> PendingStep:
-        """Start a control step from `state` with `action [a]` and return it for `finish_step`.
+        """Start a control step from `state` with `action [a]`, and return the pending step for `finish_step`.
 
         A program can do other work between the two calls while the host simulates. Errors as `step`.
         """
@@ -211,12 +209,12 @@ class Env(abc.ABC):
     def _next_state(self, state: State, action: jax.Array, following: NextState) -> State:
         """Return the `State` after a control step from `state` with `action [a]` and the result `following`.
 
-        Its obs is NaN, a fault, if the action is not finite. An engine may replace such an action, as MuJoCo does.
+        If the action is not finite, obs becomes NaN, which is a fault; MuJoCo would replace such an action silently.
         """
         data, vector, changed = require_tuple(f"{self.name}: a step", following, tuple, "data", "vector", "info")
         if new := changed.keys() - state.info.keys():
-            given = f"{', '.join(sorted(new))}, but reset sets {', '.join(state.info)}"
-            raise InputError(f"{self.name}: a step changes info {given} alone")
+            given = f"{', '.join(sorted(new))} in info, which reset must set too; reset sets {', '.join(state.info)}"
+            raise InputError(f"{self.name}: a step sets {given}")
         after = self.make_state(data, vector, {**state.info, **changed})
         require_like(f"{self.name}: a step must return the state", after, state)
         return after.replace(obs=jnp.where(jnp.isfinite(action).all(), after.obs, jnp.nan))
@@ -240,7 +238,7 @@ class Env(abc.ABC):
         return random_row(key, np.asarray(self.goal_states, np.float32))
 
     def with_goal(self, state: State, goal: jax.Array) -> State:
-        """Return `state` with a copy of the goal `goal [g]`; reward and metrics still describe the last transition.
+        """Return `state` with a copy of `goal [g]` as its goal; reward and metrics still describe the last transition.
 
         Raises:
             ValueError: the goal has another shape, or (outside jit, where values are known) is not finite.
@@ -250,9 +248,9 @@ class Env(abc.ABC):
         return state.replace(obs=obs, info={**state.info, "goal": goal})
 
     def goal_reward(self, state: State, goal: jax.Array) -> jax.Array:
-        """Return the reward that the step to `state` earns with `goal [g]`, its own one or another.
+        """Return the reward that the step to `state` earns under `goal [g]`, which need not be the goal of `state`.
 
-        Override it if the reward needs more of `state` than its obs.
+        Override it if the reward depends on parts of `state` that its obs does not contain.
         """
         return self.reward(self.with_goal(state, goal).obs)
 

@@ -1,4 +1,4 @@
-"""Checks of a task before it is used: its goals, and what its functions of an observation return."""
+"""Checks of a task before it is used: its goals, and the results of its functions of an observation."""
 
 import functools
 from collections.abc import Callable
@@ -19,9 +19,9 @@ def check_task(env: "Env") -> None:
     """Check the goals of `env` and its functions of `obs`.
 
     Raises:
-        ValueError: `goal_states` and `initial_states` do not have rows of finite numbers of one length, `success` or
-            `reward` returns another shape or type, a sparse reward is not the success bit, or a state that equals its goal
-            is no success.
+        ValueError: the rows of `goal_states` and `initial_states` are not finite or differ in length, `success` or
+            `reward` returns a wrong shape or type, a sparse reward is not the success bit, or a state at its goal is
+            not a success.
     """
     tables = {name: getattr(env, name) for name in ("goal_states", "initial_states")}
     for name, table in tables.items():
@@ -32,7 +32,7 @@ def check_task(env: "Env") -> None:
             )
     if len({table.shape[1] for table in tables.values()}) > 1:
         shapes = " and ".join(f"{name} {list(table.shape)}" for name, table in tables.items())
-        raise InputError(f"{env.name}: rows of goals and initial states have one length, not {shapes}")
+        raise InputError(f"{env.name}: rows of goals and initial states must have one length, not {shapes}")
     goals, are_states = env.goal_states, env.goal_size == env.state_size
     states = np.full((len(goals), env.state_size), 0.5)
     if are_states:
@@ -49,11 +49,11 @@ def check_task(env: "Env") -> None:
         pair = f"reward is {brief(rewards)} where success is {brief(bits)}"
         raise InputError(f"{env.name}: a sparse reward is the success bit, but {pair}; or use reward_type='dense'")
     if are_states and not bits[0, len(env.goal_states) :].all():
-        raise InputError(f"{env.name}: a state that equals its goal is a success, but success is {brief(bits)}")
+        raise InputError(f"{env.name}: a state that equals its goal must be a success, but success is {brief(bits)}")
 
 
 def of_whole_obs(function: Callable[[Any, jax.Array], jax.Array]) -> Callable[[Any, jax.Array], jax.Array]:
-    """Return the `function` of a task and its `obs [..., s + g]`, which refuses a state without its goal."""
+    """Return the `function` of a task and its `obs [..., s + g]` with a check that refuses a state without its goal."""
 
     @functools.wraps(function)
     def checked(env: Any, obs: jax.Array) -> jax.Array:
@@ -68,7 +68,7 @@ def of_whole_obs(function: Callable[[Any, jax.Array], jax.Array]) -> Callable[[A
 
 
 def require_tuple(what: str, result: Any, kind: Any, *names: str) -> Any:
-    """Return `result` of the function `what`; an InputError unless it is a named tuple `kind`, or a tuple of `names`."""
+    """Return `result` of the function `what`; an InputError unless it is a named tuple `kind` or a tuple of `names`."""
     if not isinstance(result, kind) or (names and len(result) != len(names)):
         wanted = f"({', '.join(names)})" if names else f"{kind.__name__}({', '.join(kind._fields)})"
         given = f"a tuple of {len(result)}" if isinstance(result, tuple) else f"an object of {type(result).__name__}"
@@ -77,7 +77,7 @@ def require_tuple(what: str, result: Any, kind: Any, *names: str) -> Any:
 
 
 def require_result(what: str, result: Any, shape: tuple[int, ...], kind: str) -> None:
-    """Raise an InputError unless `result`, `what` in words, has this `shape` and kind: `bool`, `index` or any `number`."""
+    """Raise an InputError that names `what` unless `result` has this `shape` and kind: `bool`, `index` or `number`."""
     try:
         given = jax.typeof(result)
     except TypeError as error:  # such as None, of a function without a return
@@ -88,7 +88,7 @@ def require_result(what: str, result: Any, shape: tuple[int, ...], kind: str) ->
 
 
 def require_like(what: str, result: Any, given: Any) -> None:
-    """Raise an InputError unless the leaves of `result`, `what` in words, have the names, shapes and types of those `given`."""
+    """Raise an InputError about `what` unless the leaves of `result` have the names, shapes and types of `given`."""
     before, after = (
         {jax.tree_util.keystr(path): f"{jnp.result_type(leaf)}{list(jnp.shape(leaf))}" for path, leaf in leaves}
         for leaves in map(jax.tree.leaves_with_path, (given, result))

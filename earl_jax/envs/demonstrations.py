@@ -28,9 +28,9 @@ class DemoStart(NamedTuple):
 class DemoScript(NamedTuple):
     """How demonstrations of a task are recorded.
 
-    `starts(seed)` yields one item for each forward demonstration. The noise is uniform in [-`noise`, `noise`], on all
-    components of an action but the last. A demonstration goes on for `hold` steps, also after success; None ends it at
-    success. `action(obs [s + g])` returns the action [a] before noise, of NumPy's arrays; None stands for the expert.
+    `starts(seed)` yields one `DemoStart` for each forward demonstration. Uniform noise in [-`noise`, `noise`] is added
+    to every component of an action except the last. A demonstration lasts `hold` steps, even after success; None ends
+    it at success. `action(obs [s + g])` returns the action [a] before noise, both NumPy arrays; None uses the expert.
     """
 
     noise: float
@@ -50,16 +50,16 @@ class TaskDemos:
     layout: Callable[[assets.Demos], assets.Demos] = lambda demos: demos
     """Converts recorded demonstrations to the layout of the task."""
     expert: Callable[[jax.Array], jax.Array] | None = None
-    """Returns the action [a] of a scripted controller that reaches the goal in an observation [s + g]."""
+    """`expert(obs [s + g])` returns the action [a] of a scripted controller that reaches the goal in `obs`."""
     script: DemoScript | None = None
     state_at: Callable[[jax.Array, jax.Array], State] | None = None
-    """Returns a state with the state vector [s] and the goal [g], to replay a forward demonstration from: an arm is in its
-    reset pose. None if the task can only start from `reset`."""
+    """`state_at(vector [s], goal [g])` returns the state from which a forward demonstration is replayed, with any arm
+    in its reset pose. None if the task can only start from `reset`."""
     exchanged: bool = False
-    """Whether the recorded directions are exchanged: the task leads back to where the recorded one starts."""
+    """Whether the recorded directions swap roles, because this task leads back to the start of the recorded task."""
 
     def __post_init__(self):
-        """Give `expert` and `state_at` the package's types, as `Env.reset` and `Env.step` have them."""
+        """Run `expert` and `state_at` under the package's jax types, as `Env.reset` and `Env.step` are."""
         for name in ("expert", "state_at"):
             function = getattr(self, name)
             object.__setattr__(self, name, function and package_types()(function))
@@ -87,8 +87,8 @@ class TaskDemos:
         """Return the recorded demonstrations of `direction` (forward or backward) in the task's layout.
 
         Raises:
-            ValueError: this direction has no demonstrations, or the file holds none; the message lists the choices. Or their
-                transitions have other sizes than those of the task.
+            ValueError: this direction has no demonstrations, or the file contains none (the message lists the choices),
+                or the sizes of their transitions differ from those of the task.
         """
         demos = self.layout(assets.demos(self._source, self._as_recorded(direction)))
         for name, size in zip(("states", "goals", "actions"), self.sizes, strict=True):

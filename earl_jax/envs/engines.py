@@ -1,4 +1,4 @@
-"""The physics engine of a task: as chosen, as it runs, and another one. A kinematic task has none."""
+"""The physics engine of a task: the one chosen, the one that runs, and how to change it. Kinematic tasks have none."""
 
 import dataclasses
 
@@ -16,7 +16,7 @@ def chosen_engine(env: Env) -> str:
 
 
 def resolved_engine(env: Env) -> str:
-    """Return the physics engine that steps `env`: its name, that of `auto` for few lanes, or `kinematic`."""
+    """Return the physics engine that steps `env`: its name (for `auto`, the engine for few lanes), or `kinematic`."""
     return resolve_engine(chosen_engine(env))
 
 

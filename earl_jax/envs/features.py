@@ -1,4 +1,4 @@
-"""What only some tasks have, and what has a default: a map of visits, further starts, pictures, the continuing setting."""
+"""Features that a task may have: a map of visits, further starts, pictures, numbers of the continuing setting."""
 
 import dataclasses
 import operator
@@ -15,9 +15,9 @@ from earl_jax.options.jax_settings import package_types
 class Map(NamedTuple):
     """The map of visited positions of a task.
 
-    `position(obs [..., s + g])` returns x, y [..., 2] of the body that the map tracks. `bounds [2, 2]` are [x, y] low and
-    [x, y] high, in `unit`. `starts [K, 2]` stand for the initial distribution, and at `goals [K, 2]` a goal is reached;
-    None if the task lists none.
+    `position(obs [..., s + g])` returns x, y [..., 2] of the body that the map tracks. `bounds [2, 2]` are [x, y] low
+    and [x, y] high, in `unit`. `starts [K, 2]` represent the initial distribution, and `goals [K, 2]` are positions at
+    which a goal is reached; either is None if the task does not list any.
     """
 
     position: Callable[[jax.Array], jax.Array]
@@ -29,12 +29,12 @@ class Map(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Starts:
-    """Distributions of starts beside s0 ~ rho, functions like `reset`; None for a task without.
+    """Further distributions of starts besides s0 ~ rho, as functions like `reset`; None where the task has none.
 
-    `uniform(key)` draws over the whole workspace (figure 4 of the paper). `wide(key)` is that of `deployed/success_wide`:
-    about half of its starts or more lie where no demonstration begins, in places that the agent could reach by itself.
-    A task whose reward is dense has no wide starts, because its score is a return. A task whose rho is uniform over `count`
-    starts has `numbered(key, number)`, which returns the one with that number; evaluations can balance them.
+    `uniform(key)` draws over the whole workspace (figure 4 of the paper). `wide(key)` draws the starts of the metric
+    `deployed/success_wide`: at least about half of them lie where no demonstration begins, but where the agent could
+    get by itself. Tasks with a dense reward have no wide starts, because their score is a return. If rho is uniform
+    over `count` starts, `numbered(key, number)` returns start `number`, and evaluations can balance the starts.
     """
 
     uniform: Callable[[jax.Array], State] | None = None
@@ -43,7 +43,7 @@ class Starts:
     count: int = 1
 
     def __post_init__(self):
-        """Give all functions the package's types, as `Env.reset` and `Env.step` have them."""
+        """Run all functions under the package's jax types, as `Env.reset` and `Env.step` are."""
         for name, start in self.functions.items():
             object.__setattr__(self, name, package_types()(start))
 
@@ -57,9 +57,9 @@ class Starts:
 class View(NamedTuple):
     """How a task is drawn.
 
-    `model` is its MJCF: a name in assets, or a path. A control step takes `dt` seconds in videos. `render_state(state)`
-    returns the `PhysicsState` of `model` that shows `state`, by default its `data`, and `render_goal(state)` the one that
-    reaches its goal, or None.
+    `model` is the MJCF to draw: a name in assets, or a path. A control step takes `dt` seconds in videos.
+    `render_state(state)` returns the `PhysicsState` of `model` that shows `state`, by default `state.data`.
+    `render_goal(state)` returns the `PhysicsState` that shows the goal reached, or None to draw no goal.
     """
 
     model: str
@@ -72,7 +72,7 @@ class ContinuingDefaults(NamedTuple):
     """The numbers of a task in the paper's continuing setting.
 
     `goal_change`: steps between goal changes. `train_horizon`: H_T of the released lifelong configuration, 0 for never;
-    None if it is that of the task.
+    None for the `train_horizon` of the task.
     """
 
     goal_change: int

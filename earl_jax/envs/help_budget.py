@@ -1,4 +1,4 @@
-"""Irreversible states: a task with a budget of interventions, an action that requests help, and an end without budget.
+"""Irreversible states: a budget for interventions, an action that requests help, and an end when the budget is spent.
 
 Source: Sharma et al. 2022, appendix A.2 (irreversible states). docs/formalism.md has the equations.
 """
@@ -24,26 +24,26 @@ from earl_jax.options.values import require_object, within
 from earl_jax.physics import PendingStep
 
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
-"""The largest share of an exactly spent budget that float32 rounding can leave."""
+"""The largest share of a budget that float32 rounding can leave after it was spent exactly."""
 
 
 def _of_task(name: str) -> Any:
-    """Return the property of a wrapper that is `name` of its task."""
+    """Return a property that reads the attribute `name` of the wrapped task."""
     return property(operator.attrgetter(f"task.{name}"))
 
 
 @dataclasses.dataclass(frozen=True)
 class HelpBudget(Env):
-    """`task` in augmented spaces: `obs` = task state, share of the budget left, goal; `action` = the task's, help.
+    """`task` with a budget for help: `obs` = task state, share of the budget left, goal; `action` = task action, help.
 
-    A last action component above `help_above` requests help. The body does not move and the simulated step is
+    A last action component above `help_above` requests help. The body does not move, and the simulated step is
     discarded. The next state is s' ~ rho, and the budget (h_max at first) falls by `help_cost`. After a step into a
     state that is irreversible for the task, or after a fault, the environment enforces an intervention: s' ~ rho, for
-    `enforced_cost`. Both are transitions that an agent learns from, and the goal does not change.
+    `enforced_cost`. The agent learns from the transitions of both interventions, and the goal does not change.
 
     An intervention that would exhaust the budget does not take place. The lifetime ends instead: `done` is 1, the
-    budget is 0, the state stays as it was before that step, and every later step earns `absorbed_reward`. With the
-    threshold 0.98, one in a hundred uniform actions requests help.
+    budget is 0, the state stays as it was before that step, and every later step earns `absorbed_reward`. At the
+    default threshold of 0.98, one in a hundred uniform actions requests help.
     """
 
     reward_type: str = dataclasses.field(init=False, repr=False)
@@ -62,7 +62,7 @@ class HelpBudget(Env):
     def __post_init__(self):
         require_object("task", self.task, Env, or_name=False)
         if isinstance(self.task, HelpBudget):
-            raise InputError(f"task must be one without a budget of its own, not {self.task!r}")
+            raise InputError(f"task must be a task without a budget of its own, not {self.task!r}")
         for field in dataclasses.fields(Env):
             object.__setattr__(self, field.name, getattr(self.task, field.name))
         super().__post_init__()
@@ -114,10 +114,10 @@ class HelpBudget(Env):
         return task_map and task_map._replace(position=lambda obs: task_map.position(self.task_obs(obs)))
 
     def _reset_by(self, reset: Callable[..., State], key: jax.Array, *number: jax.Array) -> State:
-        """Return the first state of a lifetime, with the whole budget, in which the task starts from `reset(key, *number)`.
+        """Return the first state of a lifetime, with a full budget and the task's start `reset(key, *number)`.
 
-        `info` counts the interventions that were `asked` for and `enforced`, including the one that ended the lifetime.
-        Its `key` draws s' ~ rho.
+        `info` counts the interventions that were `asked` for and `enforced`, including the one that ends the lifetime.
+        `info["key"]` draws s' ~ rho.
         """
         inner_key, own_key = jax.random.split(key)
         inner, none = reset(inner_key, *number), jnp.zeros((), jnp.int32)
@@ -133,14 +133,14 @@ class HelpBudget(Env):
     def intervene(self, key: jax.Array, state: State) -> State:
         """Return the state after a hard intervention: s0 ~ rho at no cost, with budget and counts unchanged.
 
-        After the end of the lifetime, it is `state` itself.
+        After the end of the lifetime, `state` is returned unchanged.
         """
         inner = self.task.intervene(key, state.data)
         fresh = self._augmented(inner, {**state.info, "goal": inner.info["goal"]})
         return tree_where(_ended(state.info), state, fresh)
 
     def fault(self, state: State) -> jax.Array:
-        """Return false: this environment has already answered a fault of the task with an intervention."""
+        """Return False: this environment has already answered a fault of the task with an intervention."""
         return jnp.zeros((), bool)
 
     def start_step(self, state: State, action: jax.Array) -> PendingStep:
@@ -154,9 +154,9 @@ class HelpBudget(Env):
         return self._augmented(*self._after(state, asked, moved))
 
     def _after(self, state: State, asked: jax.Array, moved: State) -> tuple[State, dict[str, jax.Array]]:
-        """Return the task's state and `info` after a step that `asked` for help or not, bool [], and leads to `moved`.
+        """Return the task's state and `info` after a step to `moved`; `asked`, bool [], tells whether it requests help.
 
-        The budget is computed from the counts, so that rounding does not add up over a long lifetime.
+        The budget is computed from the counts, so rounding errors do not add up over a long lifetime.
         """
         irreversible = self.task.irreversible(moved)
         require_result(f"{self.task.name}: what irreversible returns", irreversible, (), "bool")
@@ -186,7 +186,7 @@ class HelpBudget(Env):
         return jnp.where(_ended(state.info), self.absorbed_reward, self.task.goal_reward(state.data, goal))
 
     def task_obs(self, obs: jax.Array) -> jax.Array:
-        """Return the task's observation [..., s + g] in `obs [..., s + 1 + g]`: all but the budget."""
+        """Return the task's observation [..., s + g]: `obs [..., s + 1 + g]` without the budget."""
         return jnp.delete(obs, self.task.state_size, axis=-1, assume_unique_indices=True)
 
     def success(self, obs: jax.Array) -> jax.Array:
@@ -200,7 +200,7 @@ class HelpBudget(Env):
 
     @property
     def demonstrations(self) -> TaskDemos:
-        """Those of the task, with a full budget and without requests for help; there is no script."""
+        """The task's demonstrations with a full budget and without requests for help; there is no script."""
         demos = self.task.demonstrations
         expert = demos.expert
         return TaskDemos(
@@ -215,10 +215,10 @@ class HelpBudget(Env):
 
 @dataclasses.dataclass(frozen=True)
 class WithoutHelp(HelpBudget):
-    """`task` in the spaces of a `HelpBudget`, for agents that need these: a full budget that nothing is charged to.
+    """`task` in the spaces of a `HelpBudget`, for agents that expect these: the budget is full, and nothing is charged.
 
-    The last action component has no effect, and an irreversible state or a fault stays as it is. J_D belongs to the plain
-    MDP: requests, costs and restarts exist in training only (the footnote on A_h in the appendix).
+    The last action component has no effect, and nobody intervenes in an irreversible state or after a fault. J_D
+    belongs to the plain MDP: requests, costs and restarts exist in training only (the footnote on A_h in the appendix).
     """
 
     has_absorbing_state: ClassVar[bool] = False
@@ -231,19 +231,19 @@ class WithoutHelp(HelpBudget):
 
 
 def without_budget(env: Env) -> Env:
-    """Return the task in which policies are evaluated: that of `env` if it is a `HelpBudget`, else `env` itself."""
+    """Return the task in which policies are evaluated: `env.task` if `env` is a `HelpBudget`, else `env` itself."""
     return env.task if isinstance(env, HelpBudget) else env
 
 
 def without_help(env: Env) -> Env:
-    """Return `env` for evaluations with its own spaces: a `HelpBudget` as `WithoutHelp`, or `env` itself."""
+    """Return `env` for evaluations in its own spaces: a `HelpBudget` becomes `WithoutHelp`, other tasks stay."""
     if not isinstance(env, HelpBudget):
         return env
     return WithoutHelp(**{field.name: getattr(env, field.name) for field in dataclasses.fields(env) if field.init})
 
 
 def _with_full_budget(demos: assets.Demos) -> assets.Demos:
-    """Return `demos` of a task in augmented spaces."""
+    """Return `demos` of a task in the spaces of a `HelpBudget`, with a full budget and no request for help."""
     wider = {"states": 1.0, "next_states": 1.0, "actions": -1.0}
     parts = {
         name: np.pad(getattr(demos, name), ((0, 0), (0, 1)), constant_values=value) for name, value in wider.items()
@@ -252,5 +252,5 @@ def _with_full_budget(demos: assets.Demos) -> assets.Demos:
 
 
 def _ended(info: dict[str, jax.Array]) -> jax.Array:
-    """Return whether the lifetime has ended, bool []: the budget is 0 from then on, and positive before."""
+    """Return whether the lifetime has ended, bool []: only then is the budget 0."""
     return info["budget"] <= 0

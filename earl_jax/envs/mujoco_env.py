@@ -1,4 +1,4 @@
-"""The base class of tasks with a MuJoCo model: the engine, the substeps, and a control step through both."""
+"""The base class of tasks with a MuJoCo model: its engine, its substeps, and a control step that uses both."""
 
 import abc
 import dataclasses
@@ -22,8 +22,8 @@ SUBSTEPS = Interval("[1, 1000]", whole=True)
 class MujocoEnv(Env):
     """A task with a MuJoCo model: `engine` is `auto`, `mjx`, `c` or `warp`; a control step has `substeps` physics steps.
 
-    The model is `assets/mjcf/<name>.xml`, unless `model` names another. A subclass defines what one of
-    `KinematicEnv` does, with `control`, `observe` and `control_step` instead of `transition`.
+    The model is `assets/mjcf/<name>.xml`, unless `model` names another. A subclass defines the members that
+    `KinematicEnv` lists, with `control`, `observe` and `control_step` instead of `transition`.
     """
 
     engine: Literal["auto", "mjx", "warp", "c"] = "auto"
@@ -49,11 +49,11 @@ class MujocoEnv(Env):
 
     @property
     def view(self) -> View:
-        """The simulated model in real time, with its goal if the task has an `_at_goal`."""
+        """The view that draws the simulated model in real time, and its goal if the task defines `_at_goal`."""
         return View(self.model, dt=self.control_step, render_goal=self._at_goal)
 
     def _at_goal(self, state: State) -> PhysicsState | None:
-        """Return the physics state that reaches the goal of `state`, for pictures; None draws no goal."""
+        """Return the physics state at the goal of `state`, for pictures; None draws no goal."""
 
     @property
     def simulator(self) -> Simulator:
@@ -67,11 +67,11 @@ class MujocoEnv(Env):
 
     @abc.abstractmethod
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
-        """Return the physics state and the command with which a control step with the clipped `action [a]` starts."""
+        """Return the physics state and the command that start a control step with the clipped `action [a]`."""
 
     @abc.abstractmethod
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
-        """Return the result of a step, given the simulated `data` and the last substep's `sensors [nsensordata]`."""
+        """Return the result of a step from the simulated `data` and the last substep's `sensors [nsensordata]`."""
 
     def start_step(self, state: State, action: jax.Array) -> PendingStep:
         action = self._checked_action(action)
@@ -88,9 +88,9 @@ class MujocoEnv(Env):
 def leashed_target(
     target: jax.Array, hand: jax.Array, fastest: jax.Array, speeds: np.ndarray, lengths: np.ndarray
 ) -> jax.Array:
-    """Return the position [3] that a mocap weld pulls a hand to: `target [3]`, or a nearer one if it is too far.
+    """Return the position [3] to which a mocap weld pulls a hand: `target [3]`, or a nearer point if that is too far.
 
-    The target may lead the `hand [3]` by `lengths [2]` metres when the `fastest` joint turns at `speeds [2]` rad/s;
+    The position may lead the `hand [3]` by `lengths [2]` metres when the `fastest` joint turns at `speeds [2]` rad/s;
     lengths are interpolated linearly in between.
     """
     # JAX's own interpolation searches in a loop, which takes 25 us on a GPU.

@@ -7,17 +7,17 @@ VALUE_AT_MARGIN = 0.1
 
 
 def gaussian(x: jax.Array) -> jax.Array:
-    """Return a bell that is 1 at 0 and 0.1 at 1."""
+    """Return a Gaussian bell of `x` that is 1 at 0 and 0.1 at 1."""
     return jnp.exp(jnp.log(VALUE_AT_MARGIN) * x**2)
 
 
 def long_tail(x: jax.Array) -> jax.Array:
-    """Return a Cauchy curve that is 1 at 0 and 0.1 at 1."""
+    """Return a Cauchy curve of `x` that is 1 at 0 and 0.1 at 1."""
     return 1.0 / (1.0 + (1.0 / VALUE_AT_MARGIN - 1.0) * x**2)
 
 
 def linear(x: jax.Array) -> jax.Array:
-    """Return a ramp that is 1 at 0 and 0 from 1 on: dm_control's linear sigmoid with a value of 0 at the margin."""
+    """Return a ramp of `x` that is 1 at 0 and 0 from 1 on: dm_control's linear sigmoid with value 0 at the margin."""
     return jnp.maximum(1.0 - x, 0.0)
 
 
@@ -38,7 +38,7 @@ def hamacher(a: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def prism(x: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Return the product of three ramps from corner `low` to corner `high` for `x [..., 3]` in that box, 1 outside it.
+    """Return the product of three ramps from corner `low` to corner `high` for `x [..., 3]` in the box, and 1 outside.
 
     Source: Meta-World, `reward_utils.rect_prism_tolerance`.
     """

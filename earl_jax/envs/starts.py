@@ -11,11 +11,11 @@ from earl_jax.errors import InputError, require_known
 from earl_jax.options.jax_settings import package_types
 
 STARTS = ("initial", "uniform", "wide")
-"""s0 ~ rho, uniform over the workspace (figure 4 of the paper), and the starts of `deployed/success_wide`."""
+"""Distributions: s0 ~ rho, uniform over the workspace (figure 4 of the paper), and that of `deployed/success_wide`."""
 EVAL_PAIRS = ("random", "balanced")
-"""Ways to draw the pairs of start and task goal of an evaluation: each at random, or every pair equally often."""
+"""How an evaluation draws its pairs of start and task goal: each at random, or every pair equally often."""
 PAIR_KEY = 2
-"""Folded into the key of an evaluation for the order of balanced pairs."""
+"""Number folded into the key of an evaluation to draw the order of balanced pairs."""
 
 
 def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
@@ -36,10 +36,10 @@ def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
 
 @package_types()
 def balanced_starts(env: Env, key: jax.Array, episodes: int) -> State:
-    """Return starts of `episodes` episodes, leaves [episodes, ...], with every pair of start and task goal equally often.
+    """Return starts, leaves [episodes, ...], that use every pair of start and task goal equally often.
 
-    The pairs are those of `Starts.numbered` and `goal_states`; what a task draws besides is drawn for each episode. If
-    `episodes` is not a multiple of the number of pairs, random ones are taken once more than the others.
+    A pair is a start of `Starts.numbered` and a goal of `goal_states`; a task's other random values are drawn for each
+    episode. If `episodes` is not a multiple of the number of pairs, some pairs, chosen at random, are used once more.
     """
     goals, listed = jnp.asarray(env.goal_states), env.starts
     pairs = listed.count * len(goals)

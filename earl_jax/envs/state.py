@@ -1,4 +1,4 @@
-"""The return types of an environment: its state and the result of a step."""
+"""The return types of an environment: its state and the result of a step, with helpers for trees and keys."""
 
 import dataclasses
 import functools
@@ -15,11 +15,11 @@ NextState = tuple[Any, jax.Array, dict[str, jax.Array]]
 
 
 MOST_ARRAYS = 4
-"""Arrays of a field that `struct_text` names one by one."""
+"""Largest number of arrays in a field that `struct_text` names one by one."""
 
 
 def struct_text(self: Any) -> str:
-    """Return a flax struct, of arrays or tracers, as a line for each field with types and shapes; its `__repr__`."""
+    """Return the `__repr__` of a flax struct of arrays or tracers: a line for each field with types and shapes."""
     fields = [f"  {field.name}: {_tree_text(getattr(self, field.name))}\n" for field in dataclasses.fields(self)]
     return f"{type(self).__name__}(\n{''.join(fields)})"
 
@@ -36,7 +36,8 @@ def _tree_text(tree: Any) -> str:
 class State(struct.PyTreeNode):
     """The state of an environment: physics `data`, `obs [s + g]`, float32 `reward` and `done` [], `metrics`, `info`.
 
-    The tree keeps its structure, dtypes and weak types from `reset` on, so it can be the carry of a scan.
+    `metrics["success"]` is 1 at the goal and 0 elsewhere, and `info["goal"]` is the goal [g]; a task can add further
+    entries. The tree keeps its structure, dtypes and weak types from `reset` on, so a scan can carry it.
     """
 
     data: Any
@@ -55,13 +56,13 @@ def tree_where(condition: jax.Array, tree: Any, other: Any) -> Any:
 
 
 def random_row(key: jax.Array, table: Any) -> Any:
-    """Return one row of `table`, a tree of arrays [n, ...], uniform over the n."""
+    """Return one row of `table`, a tree of arrays [n, ...], drawn uniformly."""
     index = jax.random.randint(key, (), 0, len(jax.tree.leaves(table)[0]))
     return jax.tree.map(lambda values: jnp.asarray(values)[index], table)
 
 
 def stored_key(key: jax.Array) -> jax.Array:
-    """Return `key`, of any kind, as the data of a key of jax's default kind, which `wrap_key_data` takes."""
+    """Return the data of `key` for `wrap_key_data`; a key of another kind is converted to jax's default kind."""
     data, default = jax.random.key_data(key), jax.random.key_data(jax.random.key(0))
     return data if data.shape == default.shape else jax.random.bits(key, default.shape, default.dtype)
 

@@ -21,8 +21,8 @@ from earl_jax.physics import PhysicsState
 STEP = 0.2
 REACH = 0.4
 GRASP = 0.32
-"""Distance to the mug at which the scripted expert grips. From a larger one, the gripper would hit the wall before the
-mug reaches a far coaster."""
+"""Distance to the mug at which the scripted expert grips. With a larger distance, the gripper would hit the wall before
+the mug reaches a far coaster."""
 LIMIT = 2.8
 TOLERANCE = 0.2
 FREE = np.array([-1.0, -1.0], np.float32)
@@ -30,10 +30,10 @@ HELD = np.array([0.0, 0.0], np.float32)
 HOME = np.array([0.0, 0.0, 2.5, 0.0], np.float32)
 COASTERS = np.array([[-2.5, -1.0], [-2.5, 1.0], [0.0, 2.0], [0.0, -2.0]], np.float32)
 GOALS = np.concatenate([np.zeros((4, 2), np.float32), COASTERS, np.tile(FREE, (4, 1))], axis=1)
-"""The gripper at home, the mug on a coaster and free."""
+"""The task goals: the gripper at home, the mug on a coaster, and not held."""
 DEMOS_PER_GOAL = 3
 DEMO_SPEED = 0.5
-"""Share of the full speed at which the demonstration script moves, like the released demonstrations."""
+"""Share of the full speed at which the demonstration script moves, as in the released demonstrations."""
 PLACED = 0.1
 """Largest distance of the mug from its goal at which the scripts release it, in table units."""
 DEMO_AXIS_TOLERANCE = 0.05
@@ -73,7 +73,7 @@ class TabletopOrganization(KinematicEnv):
 
     @property
     def starts(self) -> Starts:
-        """Both distributions have gripper and mug anywhere on the table; every place is within reach."""
+        """Uniform and wide starts with gripper and mug anywhere on the table; every place is within reach."""
         return Starts(self._uniform_start, self._uniform_start if self.sparse else None)
 
     def _uniform_start(self, key: jax.Array) -> State:
@@ -91,9 +91,9 @@ class TabletopOrganization(KinematicEnv):
 
     @property
     def map(self) -> Map:
-        """The gripper's positions, with gripper and mug at a start and at the goals: home and the coasters.
+        """The gripper's positions, and those of gripper and mug at the start and at the goals: home and the coasters.
 
-        With `wide`, whose starts are everywhere, none are listed.
+        With `wide`, starts can be anywhere, so none are listed.
         """
         return Map(
             position=lambda obs: obs[..., :2],
@@ -111,7 +111,7 @@ class TabletopOrganization(KinematicEnv):
         return state.data.replace(qpos=state.info["goal"][:4])
 
     def _wide_start(self, key: jax.Array) -> jax.Array:
-        """Return the first of 64 uniform draws [4] with the required distances; half have them (all miss: 1e-17)."""
+        """Return the first of 64 uniform draws [4] with the required distances; about half have them (none: 1e-17)."""
         draws = jax.random.uniform(key, (WIDE_TRIES, 4), minval=-WIDE_RANGE, maxval=WIDE_RANGE)
         apart = jnp.linalg.norm(draws[:, :2] - draws[:, 2:], axis=-1) >= WIDE_CLEARANCE
         clear = jnp.linalg.norm(draws[:, None, 2:] - COASTERS, axis=-1) >= WIDE_CLEARANCE
@@ -144,7 +144,7 @@ class TabletopOrganization(KinematicEnv):
         return dataclasses.replace(super().demonstrations, expert=self._expert, script=script, state_at=self._state_at)
 
     def _expert(self, obs: jax.Array) -> jax.Array:
-        """Return the action [3] of the fastest script: fetch the mug, carry it, return; both axes at full speed."""
+        """Return the action [3] of the fastest script, at full speed on both axes: fetch the mug, carry it, return."""
         target, grip = _waypoint(obs)
         move = jnp.clip((target - obs[:2]) / STEP, -1.0, 1.0)
         return jnp.concatenate([move, grip[None]])

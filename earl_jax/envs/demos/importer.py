@@ -1,4 +1,4 @@
-"""Import of recorded demonstrations of the original benchmark: untrusted pickles of numpy arrays, or npz files."""
+"""Import of demonstrations recorded for the original benchmark: untrusted pickles of numpy arrays, or npz files."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ from earl_jax.options.environment import PYTHON
 
 UNPICKLE = Path(__file__).with_name("unpickle.py")
 LONGEST = 180
-"""Seconds after which the reading of a pickle is stopped, where the system has no limit of its own."""
+"""Seconds after which the reading of a pickle is stopped, in case the system enforces no limit."""
 FIELDS = ("observations", "actions", "rewards", "next_observations", "terminals")
 """The arrays of a recording: transitions of concatenated episodes, `terminals` true on the last one of each episode."""
 
@@ -25,13 +25,13 @@ def read(path: Path) -> Demos:
 
     Raises:
         ValueError: the file is something else or too large, or its arrays don't fit together; the message gives file
-            and cause. Nothing in it was executed.
+            and cause. No code in the file was executed.
     """
     try:
         data = read_bytes(path)
         return _demos(load_npz(data if data.startswith(b"PK\3\4") else _unpickled(data), FIELDS))
     except MemoryError as error:
-        raise InputError(f"{path}: reading it takes more memory than there is") from error
+        raise InputError(f"{path}: reading the file takes more memory than is available") from error
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
 
@@ -52,9 +52,9 @@ def _unpickled(data: bytes) -> bytes:
 
 def _demos(arrays: dict[str, np.ndarray]) -> Demos:
     if not set(FIELDS) <= set(arrays):
-        raise InputError(f"a recording has the arrays {', '.join(FIELDS)}")
+        raise InputError(f"a recording must contain the arrays {', '.join(FIELDS)}")
     if sum(array.size for array in arrays.values()) * np.float32().itemsize > MAX_BYTES:
-        raise InputError(f"its arrays take more than {MAX_BYTES >> 20} MiB in float32, the limit")
+        raise InputError(f"its arrays exceed the limit of {MAX_BYTES >> 20} MiB in float32")
     halves = []
     for name in ("observations", "next_observations"):
         shape = arrays[name].shape

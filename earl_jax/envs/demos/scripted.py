@@ -1,7 +1,7 @@
-"""Demonstrations recorded from the script that a task brings: these functions made the files in assets/demos.
+"""Demonstrations recorded from the script of a task: these functions made the files in assets/demos.
 
-The scripts imitate the pace of the original demonstrations (tabletop: half speed, one axis after the other; every task
-with some noise), because shorter demonstrations would make every method's task easier than the published one.
+The scripts imitate the pace of the original demonstrations (tabletop: half speed, one axis after the other; all tasks:
+some noise), because shorter demonstrations would make the task easier for every method than the published one.
 """
 
 import functools
@@ -20,7 +20,7 @@ from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import SEED, require
 
 MAX_STEPS = 400
-"""Steps after which a demonstration that ends at success has failed."""
+"""Steps after which a demonstration that is to end at success has failed."""
 
 
 @package_types()
@@ -57,11 +57,11 @@ def _require_script(env: Env) -> DemoScript:
 def record(env: Env, state: State, rng: np.random.Generator, steps: int | None = None) -> tuple[list[tuple], State]:
     """Return the transitions of one demonstration from `state` and its last state.
 
-    It ends at success, or after `steps` steps. `rng` draws the noise on all components of the actions but the last.
+    It ends at success, or after `steps` steps if given. `rng` draws the noise on all action components except the last.
 
     Raises:
-        ValueError: the task has no demonstration script; the message lists the tasks that have one. Or its goal was not
-            reached within 400 steps, or is not after `steps`.
+        ValueError: the task has no demonstration script (the message lists the tasks that have one), or the goal was
+            not reached within 400 steps, or is not reached at the end of `steps` steps.
     """
     script, size = _require_script(env), env.state_size
     act, noise = script.action or functools.partial(_expert_action, env), script.noise
@@ -78,7 +78,7 @@ def record(env: Env, state: State, rng: np.random.Generator, steps: int | None =
         rows.append((obs[:size], obs[size:], action, next_obs[:size], np.float32(reached), ends))
         if reached and ends:
             return rows, state
-    raise InputError(f"{env.name}: the script missed {np.asarray(state.info['goal'])} in {len(rows)} steps")
+    raise InputError(f"{env.name}: the script missed the goal {np.asarray(state.info['goal'])} in {len(rows)} steps")
 
 
 _step = jax.jit(lambda env, state, action: env.step(state, action), static_argnums=0)
@@ -98,7 +98,7 @@ def stacked(rows: list[tuple]) -> Demos:
 
 
 def save(demos: dict[str, Demos], path: Path) -> None:
-    """Write `demos`, by direction, to `path` as a compressed npz without pickles; a full disk leaves an older file."""
+    """Write `demos`, by direction, to `path` as a compressed npz without pickles; a failure keeps an older file."""
     arrays = {f"{name}_{field}": value for name, part in demos.items() for field, value in part._asdict().items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.name}.part")

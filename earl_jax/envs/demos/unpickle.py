@@ -1,8 +1,8 @@
 """A program that reads a pickle of a dictionary of numpy arrays from its input and writes an npz to its output.
 
-`importer` runs it in a process of its own, because a hostile pickle can take all memory and time. It calls nothing that
-a pickle names: each allowed name stands for a class or a function below, which check what numpy's own would trust. Its
-arguments are the names of the arrays. It imports no other module of the package, so it starts quickly.
+`importer` runs this program in a process of its own, because a hostile pickle can use up memory and time. It never
+calls what a pickle names: each allowed name stands for a class or function below, which checks what numpy's would
+trust. The arguments are the names of the arrays. It imports no other module of the package, so it starts quickly.
 """
 
 import contextlib
@@ -16,7 +16,7 @@ import numpy as np
 
 ELEMENTS = re.compile(r"b1|[iu][1248]|f[248]")
 MEMORY, SECONDS = 512 << 20, 60
-"""Limits of the process: of the memory beside four times the size of the pickle, and of the time on the processor."""
+"""Limits of the process: memory in addition to four times the size of the pickle, and seconds of processor time."""
 HINT = "an npz of the arrays, by numpy.savez, can be imported instead"
 
 
@@ -36,7 +36,7 @@ class Dtype:
 
 
 class Array:
-    """An array that a pickle describes, with its `values` once it has data."""
+    """An array that a pickle describes; `values` are set once its data is read."""
 
     values: Any = None
 
@@ -71,10 +71,10 @@ ALLOWED = {
 
 
 class Reader(pickle.Unpickler):
-    """Python's unpickler with nothing but the names in `ALLOWED`."""
+    """Python's unpickler, restricted to the names in `ALLOWED`."""
 
     def find_class(self, module_name: str, global_name: str) -> Any:
-        """Return what a name of the pickle stands for."""
+        """Return the class or function that a name in the pickle stands for."""
         module_name = module_name.replace("numpy._core.", "numpy.core.").replace("__builtin__", "builtins")
         name = f"{module_name}.{global_name}"
         if name not in ALLOWED:
@@ -83,7 +83,7 @@ class Reader(pickle.Unpickler):
 
 
 def read(data: bytes, names: list[str]) -> dict[str, Any]:
-    """Return those arrays in the dictionary of a pickle that have one of `names`."""
+    """Return the arrays called `names` from the dictionary in a pickle, as far as it contains them."""
     content = Reader(io.BytesIO(data), encoding="latin1").load()
     if type(content) is not dict:
         raise ValueError(f"it is not a dictionary; {HINT}")
@@ -98,7 +98,7 @@ def read(data: bytes, names: list[str]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Read the pickle; an error is a line of text and the exit status 1."""
+    """Read the pickle and write the npz; an error is printed as one line, with exit status 1."""
     data, out = sys.stdin.buffer.read(), io.BytesIO()
     with contextlib.suppress(ImportError, ValueError, OSError):  # a system without limits
         import resource
@@ -108,7 +108,7 @@ def main() -> None:
     try:
         np.savez(out, **read(data, sys.argv[1:]))
     except MemoryError:
-        sys.exit("it takes more memory than its size explains")
+        sys.exit("it uses more memory than its size explains")
     except Exception as error:
         sys.exit(str(error) or type(error).__name__)
     sys.stdout.buffer.write(out.getbuffer())

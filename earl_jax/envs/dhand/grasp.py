@@ -14,26 +14,26 @@ CLOSED = np.array(
     [0.189, 0.874, 1.018, 0.816, 0.0, 0.874, 1.018, 0.816, -0.189, 0.874, 1.018, 0.816, 1.457, -0.143, 1.536, 1.559],
     np.float32,
 )
-"""Finger joints of the scripted grasp: before it, and the target of the squeeze. Determined by search."""
+"""Finger joints of the scripted grasp: before the grasp, and the target of the squeeze. Determined by search."""
 BENDS = OPENED != CLOSED
 PALM_OVER = np.array([-0.027, -0.022, -0.009], np.float32)
 """Offset of the hand from the bulb in the scripted grasp."""
 GRIPS, MARGINS = np.array([0.1, 0.4], np.float32), np.array([0.012, 0.06], np.float32)
-"""The grasp continues while the hand is within `MARGINS` of that offset; interpolated over `GRIPS`, the hand's
-closure."""
+"""The grasp continues while the hand is within `MARGINS` of that offset; the margin is interpolated over the closure of
+the hand, `GRIPS`."""
 HELD = 0.65
 CLOSING, OPENING = 1.3, 3.0
 TRAVEL, CARRY = 0.865, 0.86
-"""Heights [m] at which the hand travels to the bulb and the bulb to its goal."""
+"""Heights [m] at which the hand travels to the bulb, and at which it carries the bulb to its goal."""
 PACE = 0.7
 OFF_TABLE = TABLE + 0.1
-"""Height [m] of the bulb above which it is carried sideways."""
+"""Height [m] above which the bulb is carried sideways."""
 
 
 def action(fingers: jax.Array, bulb: jax.Array, hand: jax.Array, goal: jax.Array) -> jax.Array:
     """Return the action [22] for the joints `fingers [16]` and the positions `bulb`, `hand`, `goal [3]` in metres.
 
-    It has no memory: it continues to close or starts to lift depending on the closure of the fingers.
+    The controller has no memory: the closure of the fingers decides whether it goes on closing or starts to lift.
     """
     opened, closed = jnp.asarray(OPENED), jnp.asarray(CLOSED)
     grip = ((fingers - opened) * BENDS).sum() / ((closed - opened) * BENDS).sum()
@@ -45,7 +45,7 @@ def action(fingers: jax.Array, bulb: jax.Array, hand: jax.Array, goal: jax.Array
 
 
 def _approach(hand: jax.Array, target: jax.Array, grip: jax.Array) -> jax.Array:
-    """Return the wrist's move [3] to `target [3]`: up if the hand is low and far, across, down if it is open."""
+    """Return the wrist's move [3] to `target [3]`: up if the hand is low and far, across, then down if it is open."""
     away = jnp.linalg.norm((target - hand)[:2])
     across = jnp.where((hand[2] < TRAVEL - 0.025) & (away > 0.05), hand[:2], target[:2])
     height = jnp.where((away > 0.012) | (grip > 0.4), jnp.maximum(target[2], TRAVEL), target[2])

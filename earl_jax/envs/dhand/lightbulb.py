@@ -2,8 +2,8 @@
 
 Source: Sharma et al. 2022 name and describe this task but released no code for it. Robot, table, action and reward
 terms have the numbers of the authors' earlier MTRF (Gupta et al. 2021), in which a Sawyer arm with a DHand picks up an
-object. Observation, start and reward size are our reconstruction; `variant="paper"` has the observation and the starts of
-the paper's text. docs/tasks.md lists what is known and what is not.
+object. Observation, start and reward size are our reconstruction; `variant="paper"` uses the observation and the starts
+of the paper's text. docs/tasks.md lists what is known and what is not.
 """
 
 import dataclasses
@@ -23,17 +23,17 @@ from earl_jax.envs.state import NextState, State
 from earl_jax.physics import EngineCost, PhysicsState
 
 SPAN = 0.8
-"""Radians by which a finger's target leads its joint at action 1."""
+"""Radians by which a finger's target leads its joint for an action of 1."""
 TURN = 0.02
-"""Radians that the target turns about the vertical at action 1."""
+"""Radians that the mocap target turns about the vertical for an action of 1."""
 LOW = np.array([0.42, 0.035, 0.825], np.float32)
 HIGH = np.array([0.72, 0.335, 1.1], np.float32)
-"""Range of the mocap target: MTRF's range for picking up."""
+"""Range of the mocap target: MTRF's range for its pick-up task."""
 TWIST = np.float32(np.pi / 6)
 
 START_LOW = np.array([0.58, 0.03], np.float32)
 START_HIGH = np.array([0.86, 0.3], np.float32)
-"""Range of the bulb's start: MTRF's 15 cm around (0.72, 0.15), without positions that the hand cannot reach from
+"""Range of the bulb's start: MTRF's 15 cm around (0.72, 0.15), except positions that the hand cannot reach from
 above."""
 MIDDLE = np.array([0.7, 0.15], np.float32)
 SPREAD = 0.38
@@ -50,17 +50,17 @@ START_JOINTS = np.array(
     ]
 )  # fmt: skip
 """Arm and fingers at rest over the middle of the range with an open hand: MTRF's reset, which waits 0.75 s, simulated
-until it is at rest. Nothing holds the arm's elbow, so it sinks for two minutes first; reset-free training runs in the
-sunken pose."""
+further until everything is at rest. Nothing holds the arm's elbow, so the elbow sinks for the first two minutes;
+reset-free training runs in the sunken pose."""
 START_HAND = np.array([0.695392282, 0.152986541, 0.821885595])
 BULB_LOW = np.array([0.2, -0.35, TABLE], np.float32)
 BULB_HIGH = np.array([1.2, 0.65, 1.4], np.float32)
 NEAREST = 0.32
-"""Metres: a bulb with a smaller x lies between the hand's range and the arm's base, out of reach of every finger."""
+"""Metres: a bulb at a smaller x lies between the hand's range and the arm's base, out of reach of every finger."""
 STILL = 0.05
-"""Metres per second: a slower bulb that is out of reach does not roll back."""
+"""Speed in metres per second below which a bulb that is out of reach does not roll back."""
 STRAY = 0.3
-"""Metres beyond its range at which the hand counts as a broken simulation."""
+"""Metres that the hand must be beyond its range for the simulation to count as broken."""
 FROM_TARGET = np.array([0.1256, -0.032, -0.1406], np.float32)
 """Offset of the hand (the point between the fingers) from the mocap target."""
 
@@ -82,9 +82,9 @@ class DHandLightbulb(MujocoEnv):
     `obs [35]` = hand joints 16, arm joints 7, bulb 3, hand 3, their difference 3, goal 3; `action [22]`.
     Actions 0 to 15 set the fingers' targets up to 0.8 rad from the joints. Actions 16 to 18 move the wrist by up to 1
     cm along each axis, and action 21 turns it by up to 0.02 rad about the vertical. Actions 19 and 20, roll and pitch,
-    have no effect, as in MTRF. Success: the bulb's centre is within 10 cm of its goal. MTRF has 40 `substeps` of 2.5
-    ms. `variant="paper"` has the paper's text: `obs [38]` lists the bulb's Euler angle 3, hand minus bulb 3 and bulb
-    minus the task's target 3 in the place of hand and difference, and the bulb starts anywhere on the table.
+    have no effect, as in MTRF. Success: the bulb's centre is within 10 cm of its goal. MTRF uses 40 `substeps` of 2.5
+    ms. `variant="paper"` follows the paper's text: in `obs [38]`, the bulb's Euler angle 3, hand minus bulb 3 and bulb
+    minus the task's target 3 replace hand and difference, and the bulb starts anywhere on the table.
 
     A difference from MTRF: while a finger or the bulb is pressed into the table, the wrist does not move down. The weld
     is nearly rigid and would push fingers 6 cm into the table and 90 degrees past their stops.
@@ -126,7 +126,7 @@ class DHandLightbulb(MujocoEnv):
         return self._start_in_reach(key)
 
     def _start_in_reach(self, key: jax.Array) -> State:
-        """Return a start with the bulb where the hand can be put over it."""
+        """Return a start with the bulb at a random position that the hand can reach from above."""
         return self.start_at(jax.random.uniform(key, (2,), minval=START_LOW, maxval=START_HIGH))
 
     def start_at(self, position: jax.Array) -> State:
@@ -199,8 +199,8 @@ class DHandLightbulb(MujocoEnv):
         MTRF's reward for picking up: minus the distance of hand and bulb, minus twice the horizontal and twice the
         vertical distance of bulb and goal, minus 2 for a hand below the table's margin, plus bonuses for height and
         nearness. Our bonuses are 4.5 % of MTRF's 20 + 20 and 50 + 50, because the published returns of 2,029 (oracle)
-        and 2,390 (best) allow no more. They reward a height *around* the goal's, so that a goal on the table works too.
-        MTRF's bonuses reward a height above two fixed heights, 0.1 and 0.04 m below the target, as here.
+        and 2,390 (best) allow no more. Ours reward a height *near* the goal's, so a goal on the table works too. MTRF's
+        reward any height above two fixed ones, which are 0.1 and 0.04 m below the target; our tolerances are the same.
         """
         if self.sparse:
             return self.success(obs).astype(jnp.float32)
@@ -215,11 +215,11 @@ class DHandLightbulb(MujocoEnv):
         return -cost
 
     def _expert(self, obs: jax.Array) -> jax.Array:
-        """Return the action [22] of a scripted grasp: over the bulb, down, close, lift, carry to the goal of `obs`."""
+        """Return the action [22] of a scripted grasp: over the bulb, down, close, lift, carry to the goal in `obs`."""
         return grasp.action(*self._parts(obs))
 
     def _parts(self, obs: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Return from `obs [..., o]` fingers [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3]."""
+        """Return the fingers [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3] in `obs [..., o]`."""
         return observation.parts(obs, self.variant)
 
     def irreversible(self, state: State) -> jax.Array:

@@ -1,8 +1,8 @@
 """The DHand's observation in both variants, and the orientation of the wrist.
 
-The paper's text lists 16 hand joints, 7 arm joints, 3 numbers, a 3-dimensional Euler angle, 6 inter-object distances, and
-the goal state. Its list sums to 35, although it says 30, which is the number of MuJoCo's joint values with the object's
-pose. The observation was never released. The variants have different states:
+The paper's text lists 16 hand joints, 7 arm joints, 3 numbers, a 3-dimensional Euler angle, 6 inter-object distances,
+and the goal state. The list sums to 35, although the text says 30, which is the number of MuJoCo's joint values
+including the object's pose. The observation was never released. The variants differ in their state:
 
 - `reconstruction` (32): fingers 16, arm 7, bulb 3, hand 3, hand minus bulb 3.
 - `paper` (35): fingers 16, arm 7, bulb 3, Euler angle of the bulb 3, hand minus bulb 3, bulb minus the task's target 3.
@@ -19,12 +19,12 @@ import numpy as np
 FINGERS, ARM = 16, 7
 Variant = Literal["reconstruction", "paper"]
 STATE = {"reconstruction": FINGERS + ARM + 9, "paper": FINGERS + ARM + 12}
-"""Length of a state of each variant."""
+"""Length of a state in each variant."""
 POSE = FINGERS + ARM + 3
-"""Index of the first number in which the variants differ: of the hand's position or the bulb's Euler angle. Hand minus
-bulb follows in both."""
+"""Index of the first number in which the variants differ, where the hand's position or the bulb's Euler angle begins.
+Hand minus bulb follows in both."""
 REACH = 0.01
-"""Metres that the mocap target moves at action 1."""
+"""Metres that the mocap target moves for an action of 1."""
 TABLE = 0.72
 """Height of the table, metres."""
 TARGET = np.array([0.72, 0.15, 0.92], np.float32)
@@ -32,7 +32,7 @@ TARGET = np.array([0.72, 0.15, 0.92], np.float32)
 
 
 def parts(obs: jax.Array, variant: Variant) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return from `obs [..., o]` the fingers' joints [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3]."""
+    """Return the fingers' joints [..., 16], bulb [..., 3], hand [..., 3] and goal [..., 3] in `obs [..., o]`."""
     bulb, size = obs[..., POSE - 3 : POSE], STATE[variant]
     hand = bulb + obs[..., POSE + 3 : POSE + 6] if variant == "paper" else obs[..., POSE : POSE + 3]
     return obs[..., :FINGERS], bulb, hand, obs[..., size : size + 3]
@@ -41,8 +41,7 @@ def parts(obs: jax.Array, variant: Variant) -> tuple[jax.Array, jax.Array, jax.A
 def observed(qpos: jax.Array, hand: jax.Array, variant: Variant) -> jax.Array:
     """Return the state [s] for joints `qpos [30]` and the point between the fingers at `hand [3]`.
 
-    The order is MTRF's, fingers before the arm. As in MTRF, joints and bulb are current and the hand lags by one
-    substep.
+    The order is MTRF's: fingers before the arm. As in MTRF, joints and bulb are current, `hand` lags by one substep.
     """
     arm, fingers, bulb = qpos[:ARM], qpos[ARM : ARM + FINGERS], qpos[ARM + FINGERS : ARM + FINGERS + 3]
     if variant == "paper":

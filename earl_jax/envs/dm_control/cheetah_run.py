@@ -28,18 +28,18 @@ POSITIONS = 8
 LAP = 200.0
 """Metres after which the position along the track, which is not observed, wraps."""
 HEIGHTS = (-1.0, 10.0)
-"""Range in metres of the trunk's height, 0 at the start; outside it, the simulation broke."""
+"""Range in metres of the trunk's height, which is 0 at the start; outside this range the simulation broke."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CheetahRun(MujocoEnv):
     """A planar cheetah runs (the paper's figure 2).
 
-    `obs [17]` = height, pitch, 6 joint angles, then velocities of forward and of these; `action [6]` = torques.
+    `obs [17]` = height, pitch, 6 joint angles, then 9 velocities: forward and these 8; `action [6]` = torques.
     The task has no goal, so goals have length 0 and an observation is a state. The suite defines no success; here it is
     a speed of 10 m/s or more, where the suite's reward is 1. Starts are drawn from 512 states settled by the suite's
     procedure; the suite settles a new one for each episode. The position along the track wraps every 200 m; in the
-    suite it grows.
+    suite it grows without limit.
     """
 
     reward_type: str = "dense"
@@ -82,7 +82,7 @@ class CheetahRun(MujocoEnv):
     def speed(self, obs: jax.Array) -> jax.Array:
         """Return the forward speed [...] of the whole cheetah's centre of mass in `obs [..., 17]`, metres per second.
 
-        The suite reads it from a sensor, which it updates after each step. It is a function of the observation.
+        The suite reads the speed from a sensor that it updates after each step. The observation determines it, too.
         """
         turned_by, levers = self.levers
         angles = obs[..., None, SLIDES - 1 : POSITIONS] * turned_by

@@ -61,7 +61,7 @@ class FishSwim(MujocoEnv):
 
     @property
     def initial_states(self) -> np.ndarray:
-        """Positions of the mouth at a start, float32 [26, 3], around the trunk: a start faces anywhere."""
+        """Positions of the mouth at a start, float32 [26, 3], all around the trunk: a start can face anywhere."""
         directions = np.array([step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)], np.float32)
         return START + np.float32(MOUTH) * directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
@@ -86,7 +86,7 @@ class FishSwim(MujocoEnv):
 
     @property
     def map(self) -> Map:
-        """The mouth's positions. The bounds are more than twice the targets' box; a fish may leave them."""
+        """The mouth's positions. The bounds are more than twice the targets' box, and a fish may leave them."""
         return Map(position=lambda obs: obs[..., 21:23], bounds=np.array([[-1.0, -1.0], [1.0, 1.0]], np.float32))
 
     def fault(self, state: State) -> jax.Array:

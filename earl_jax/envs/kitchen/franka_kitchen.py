@@ -1,8 +1,8 @@
 """Franka kitchen: close the open appliances; a reset-free agent must open them again itself.
 
 Source: EARL's `envs/kitchen.py` on Adept's Franka kitchen as released with relay policy learning. The physics are our
-own MJCF (assets/mjcf/franka_kitchen.xml); docs/tasks.md lists every difference. The paper's text has other
-appliances and the other direction than the release: `variant="paper"`.
+own MJCF (assets/mjcf/franka_kitchen.xml); docs/tasks.md lists every difference. The paper's text names other
+appliances and the opposite direction: `variant="paper"`.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from earl_jax.envs.state import NextState, State, stored_key
 from earl_jax.physics import EngineCost, PhysicsState
 
 REACH = 0.02
-"""Metres that the mocap target moves at action 1: the released scale of 2 times 0.01."""
+"""Metres that the mocap target moves for an action of 1: the released scale of 2 times 0.01."""
 FINGER_REACH = 0.16
 """Radians that an action of 1 adds to a finger's target: the released scale of 2 times a step of 0.08 s."""
 MOCAP_LOW = np.array([-0.7, -0.1, 1.8], np.float32)
@@ -44,16 +44,16 @@ OPEN = {
     "micro": {22: -0.7}, "hinge": {20: 0.0, 21: 1.45}, "slide": {19: 0.37}, "light": {17: -0.69, 18: -0.05},
     "bottom_burner": {11: -0.88, 12: -0.01}, "top_burner": {15: -0.92, 16: -0.01},
 }  # fmt: skip
-"""For each open appliance: indices into a state and their values. The final release has no burner. The bottom one is that
-of its earlier versions, the top one that of D4RL's kitchen (Fu et al. 2020), which has the same bottom one."""
+"""For each open appliance: indices into a state and their values. The final release has no burner. The values of the
+bottom burner are those of its earlier versions and of D4RL's kitchen (Fu et al. 2020), the top burner's are D4RL's."""
 PAIRS = (
     ("micro", "hinge"), ("micro", "slide"), ("micro", "light"), ("light", "slide"), ("light", "hinge"), ("slide", "hinge"),
 )  # fmt: skip
 TEXT_APPLIANCES = ("micro", "hinge", "slide", "bottom_burner", "top_burner")
 TEXT_GOALS = (*itertools.combinations(TEXT_APPLIANCES, 2), ("micro", "hinge", "bottom_burner"))
-"""The open appliances in each goal of `variant="paper"`: as in the release all pairs, here of what the paper's text names,
-with the appendix's two distinct burners in the place of the light; and the text's example, to open microwave, door and
-burner."""
+"""The open appliances in each goal of `variant="paper"`: all pairs, as in the release, of the appliances that the
+paper's text names (the appendix's two distinct burners replace the light), and the text's example of opening microwave,
+door and burner."""
 MIDDLE = (-0.44, 0.1, 2.226)
 ARM_QPOS = (
     -0.41348427, -1.71317005, 1.42235766, -2.50195035, 0.646138996, 1.25936986, 0.868014878, 0.0399940302, 9.35269783e-05,
@@ -66,23 +66,23 @@ ARM_WARMSTART = (
     0.0394256909, -0.0113677043, -0.0664968568, -0.0486054008, 0.10585123, -0.0560178579, -0.605053158, -0.000547454585,
     0.00923499635,
 )  # fmt: skip
-"""Arm and fingers after the released reset: ten steps of zero action at the released time step. The arm still moves,
-and the left finger is open, because its target is the previous reading of joint 1."""
+"""Arm and fingers after the released reset, which makes ten steps with zero action at the released time step. The arm
+still moves, and the left finger is open, because its target is the previous reading of joint 1."""
 SHUT = (
     -0.000292405254, 2.75470406e-08, 2.75470406e-08, 2.75470406e-08, 3.19602862e-07, 0.0, -0.00092229841, 0.0072293887, 0.0,
 )  # fmt: skip
-"""The objects' joints after those ten steps from the goal; limits, friction and weights move them slightly."""
+"""The objects' joints after those ten steps from the goal; joint limits, friction and weight move them slightly."""
 SWITCH, LIT = 4, -0.68964165
-"""The switch's index among these joints, and its angle with the light on after those ten steps."""
+"""The index of the switch among these joints, and its angle after those ten steps with the light on."""
 JOINT_SPEED = np.array([1.0, 4.0], np.float32)
 LEASH = np.array([0.12, 0.06], np.float32)
-"""Metres by which the mocap body may lead the hand while the fastest joint turns at `JOINT_SPEED` [rad/s]; linear between.
-A difference from the original: with the target half a metre behind furniture or out of the arm's reach, a joint that comes
-free reaches 87 rad/s (28 with a limit of 0.2 m) and knocks objects past their limits. If the limit stayed short while the
-arm is slow, a folded arm would be stuck."""
+"""Metres by which the mocap body may lead the hand while the fastest joint turns at `JOINT_SPEED` [rad/s]; linear
+between. A difference from the original: with the target half a metre behind furniture or out of the arm's reach, a
+joint that comes free reaches 87 rad/s (28 with a limit of 0.2 m) and knocks objects past their limits. If the limit
+were short for a slow arm too, a folded arm would get stuck."""
 OBJECT_SLACK = 0.3
 ARM_SLACK = 20.0
-"""Distances (rad, m) beyond their limits at which object and arm joints count as a broken simulation. The arm's limits
+"""Distances (rad, m) beyond their limits from which object and arm joints mean a broken simulation. The arm's limits
 are soft, as in the original: after long dragging, the last joint is 10 rad beyond its limit."""
 
 
@@ -97,10 +97,10 @@ class FrankaKitchen(MujocoEnv):
     `eval_horizon` steps. Success is reported as well: the 14 object numbers are within 0.3 of the goal. `noise=False`
     observes exactly. `substeps=40` is the released time step of 2 ms.
 
-    `variant="paper"` has the appliances, direction and reward of the paper's text: everything is closed at the start,
+    `variant="paper"` uses the appliances, direction and reward of the paper's text: everything is closed at the start,
     and a goal is one of `TEXT_GOALS`. The text names microwave, hinged cabinet, two burners and slide cabinet, and
-    opening as its example. It leaves open the joint values, the other tasks, the start and the success; ours are the
-    release's. The reward is `reward.published`.
+    gives opening as an example. It does not specify joint values, the other tasks, the start and success; these follow
+    the release. The reward is `reward.published`.
     """
 
     reward_type: str = "dense"
@@ -134,7 +134,7 @@ class FrankaKitchen(MujocoEnv):
         return Starts(numbered=self._start, count=len(self.initial_states))
 
     def _start(self, key: jax.Array, number: jax.Array) -> State:
-        """Return the start with the appliances of `initial_states[number]`; `key` draws goal and noise."""
+        """Return the start with the appliances as in `initial_states[number]`; `key` draws goal and noise."""
         pair_key, noise_key = jax.random.split(key)
         goal = self.sample_goal(pair_key)  # of the pair and the goal, either variant has only a single choice
         starts = self.initial_states[:, rewards.FIRST[rewards.ROBOT :]]
@@ -188,7 +188,7 @@ class FrankaKitchen(MujocoEnv):
         """Return the reward [...] of arriving in `obs [..., 46]`.
 
         The released reward also depends on the mocap body and on exact handle positions. Here both are computed from
-        the observed arm and objects, and the noise makes them centimetres wrong. `step` and `goal_reward` use the exact
+        the observed arm and objects, so noise shifts them by centimetres. `step` and `goal_reward` use the exact
         positions.
         """
         if self.sparse:
@@ -214,7 +214,7 @@ class FrankaKitchen(MujocoEnv):
 
 
 def with_open(groups: tuple[tuple[str, ...], ...]) -> np.ndarray:
-    """Return a state for each of n `groups` of appliances, float32 [n, 23]: these are open, the others closed."""
+    """Return a state for each of n `groups` of appliances, float32 [n, 23], with the group open and the rest closed."""
     states = np.tile(CLOSED, (len(groups), 1))
     for state, group in zip(states, groups, strict=True):
         for appliance in group:

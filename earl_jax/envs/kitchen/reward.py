@@ -17,10 +17,10 @@ COMPONENTS = ((9, 10), (11, 12), (13, 14), (15, 16), (17, 18), (19,), (20, 21), 
 """Indices into a state of burners 0 to 3 (knob, plate), light (switch, block), slide, hinges (left, right) and
 microwave."""
 SITES = ("knob1", "knob2", "knob3", "knob4", "switch", "slide", "right_door", "micro")
-"""The handle of each component, which the hand approaches; names of sites in the MJCF."""
+"""Names of sites in the MJCF: the handle of each component, which the hand approaches."""
 JOINT = np.array([*range(9), 9, 9, 10, 10, 11, 11, 12, 12, 13, 13, 14, 15, 16, 17])
 GEAR = np.array([*[1.0] * 9, *[1.0, 1 / 174] * 4, 1.0, 1 / 14, *[1.0] * 4], np.float32)
-"""A state is `qpos[JOINT] * GEAR`: the plates and the light block follow a joint of the MJCF."""
+"""A state is `qpos[JOINT] * GEAR`: plates and light block have no joints of their own and follow knobs and switch."""
 FIRST = np.unique(JOINT, return_index=True)[1]
 """Index of each joint of the MJCF in a state."""
 MEMBERS = np.array([[index in component for index in range(9, 23)] for component in COMPONENTS], np.float32)
@@ -41,7 +41,7 @@ def site_positions(state: jax.Array) -> jax.Array:
 
 
 def dragging_position(state: jax.Array) -> jax.Array:
-    """Return the position [3], in metres, of the mocap body whose weld holds the flange where `state [23]` has it."""
+    """Return the position [3], in metres, of the mocap body whose weld holds the flange in the pose of `state [23]`."""
     model = load_model(MODEL)
     flange = _point_position(state[FIRST], model.site("tip").bodyid[0], np.zeros(3))
     held = Rotation.from_quat(model.body("mocap").quat, scalar_first=True)
@@ -52,9 +52,9 @@ def dragging_position(state: jax.Array) -> jax.Array:
 def released(obs: jax.Array, mocap: jax.Array, sites: jax.Array) -> jax.Array:
     """Return the released dense reward [] of `obs [46]` with the mocap body at `mocap [3]`, handles at `sites [8, 3]`.
 
-    The sum of three terms, at most 8: -10 times the distance of the 14 object numbers to their goals; +1 for each of
-    the 8 components within 0.01 per number; -0.5 per metre from the mocap body to the handle of the first other
-    component.
+    It is the sum of three terms, at most 8: -10 times the distance of the 14 object numbers to their goals; +1 for each
+    of the 8 components within 0.01 per number; -0.5 per metre from the mocap body to the handle of the first one that
+    is not.
     """
     objects = obs[ROBOT:23] - obs[23 + ROBOT :]
     done = _by_component(objects) < TOLERANCE
@@ -63,11 +63,11 @@ def released(obs: jax.Array, mocap: jax.Array, sites: jax.Array) -> jax.Array:
 
 
 def published(obs: jax.Array) -> jax.Array:
-    """Return the reward [] of `obs [46]` by the paper's text.
+    """Return the reward [] of `obs [46]` that the paper's text describes.
 
-    The text names the arm's Euclidean distance to its goal and a shaped reward for each object. We read it as minus the
-    distance of the 9 robot numbers to their goals, minus the distance of each of the 8 components to its goal, +1 for
-    each component within its tolerance.
+    The text names the arm's Euclidean distance to its goal and a shaped reward for each object. We read this as minus
+    the distance of the 9 robot numbers to their goals, minus the distance of each of the 8 components to its goal, plus
+    1 for each component within its tolerance.
     """
     error = obs[:23] - obs[23:]
     objects = _by_component(error[ROBOT:])
@@ -75,15 +75,15 @@ def published(obs: jax.Array) -> jax.Array:
 
 
 def _by_component(objects: jax.Array) -> jax.Array:
-    """Return the norm [8] of each component's part of `objects [14]`."""
+    """Return the norm [8] of the part of `objects [14]` that belongs to each component."""
     return jnp.linalg.norm(MEMBERS * objects, axis=1)
 
 
 def _point_position(qpos: jax.Array, body: int, end: np.ndarray) -> jax.Array:
     """Return the world position [3] of `end [3]` in the frame of the body with this number, at joints `qpos [18]`.
 
-    The coordinates are separate scalars, with a barrier at each joint: a GPU needs one kernel for a body, where the
-    products of matrices take three, and without barriers XLA computes each body again for every later one.
+    The coordinates are separate scalars with a barrier at each joint: a GPU then needs one kernel for each body instead
+    of three for products of matrices, and without barriers XLA would recompute each body for every later one.
     """
     model, point = load_model(MODEL), tuple(end.tolist())
     while body:

@@ -20,7 +20,7 @@ FRICTIONS = (0.8, 1.5)
 
 
 def draw(key: jax.Array, name: str) -> jax.Array:
-    """Return random values [k] of the fields `VARIED` of the model `name`, flat and in that order."""
+    """Return random values [k] of the fields `VARIED` of the model `name`, flattened in that order."""
     model = load_model(name)
     names = [model.body(number).name for number in range(model.nbody)]
     kind = np.array([next((n for n, kind in enumerate(KINDS) if own.startswith(kind)), 0) for own in names])
@@ -40,7 +40,7 @@ def draw(key: jax.Array, name: str) -> jax.Array:
 
 
 def _carried(model: Any) -> np.ndarray:
-    """Return float32 [B, B] of B bodies, in which row i marks those in the subtree of body i."""
+    """Return a float32 matrix [B, B] whose row i marks the bodies in the subtree of body i."""
     carried = np.eye(model.nbody, dtype=np.float32)
     for body in range(model.nbody - 1, 0, -1):
         carried[model.body_parentid[body]] += carried[body]

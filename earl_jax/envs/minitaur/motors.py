@@ -1,7 +1,7 @@
 """The Minitaur's eight motors: before every substep, a position command becomes a voltage, a current and a torque.
 
 Source: the "accurate" motor model of PyBullet's Minitaur, which the released EARL code enables. All angles have the
-motors' sign; the joints of the left legs have the opposite one (`DIRECTION`).
+motors' sign; the joints of the left legs have the opposite sign (`DIRECTION`).
 """
 
 import dataclasses
@@ -17,10 +17,10 @@ each first."""
 POSITIONS, SPEEDS = slice(7, 23, 2), slice(6, 22, 2)
 """Indices of the motors in qpos and qvel; each is followed by the knee that it carries."""
 DAMPING = 0.02
-"""Share of the battery's voltage for each rad/s against the speed; the share for each radian to the command is 1."""
+"""Share of the battery's voltage that acts against each rad/s of speed; the share for each radian of error is 1."""
 RESISTANCE = 0.186
 TORQUE_CONSTANT = 0.0954
-"""N m per ampere, and volts per rad/s of back-EMF."""
+"""Torque in N m per ampere, and back-EMF in volts per rad/s."""
 MAX_VOLTS = 50.0
 MAX_REPORTED_TORQUE = 5.7
 CURRENTS = np.array([0, 10, 20, 30, 40, 50, 60], np.float32)
@@ -54,9 +54,9 @@ def torque(xp: Any, error: Any, speed: Any, voltage: Any, viscosity: Any) -> tup
 class MinitaurMotors:
     """An `Actuator` that converts the motors' commanded angles [8] to joint torques [8], every `timestep` seconds.
 
-    Its memory [18] holds, for each motor, the number of substeps that it has been heating and the torque that it
-    reported last, then the battery's voltage and the viscosity. The count of a motor that has shut down stays constant,
-    so it stays off.
+    Its memory [18] contains, for each motor, the number of substeps for which it has been heating and the torque that
+    it reported last, then the battery's voltage and the viscosity. A motor that has shut down keeps its count, and so
+    stays off.
     """
 
     timestep: float = 0.002
@@ -89,9 +89,9 @@ class MinitaurMotors:
     ) -> np.ndarray:
         """Return the memory [n, 18] after `substeps` calls of `step()` on the host, as `Actuator` describes.
 
-        It computes in the joints' signs, because each function of the model is odd, and omits the limit of 50 V, because
-        the torque is constant from 11 V on. Unless a motor can stop in this control step, its heating is counted once, at
-        the end. A control step of one lane takes two thirds of the time of one that calls the motors before every substep.
+        It computes with the joints' signs, because each function of the model is odd, and omits the limit of 50 V,
+        because the torque is constant from 11 V on. Unless a motor can stop in this control step, heating is counted
+        once, at the end. One lane then takes two thirds of the time that calls before every substep take.
         """
         angle, speed, target = qpos[:, POSITIONS], qvel[:, SPEEDS], command * DIRECTION
         hot, voltage, viscosity = memory[:, :MOTORS], memory[:, -2:-1], memory[:, -1:]
@@ -116,12 +116,12 @@ class MinitaurMotors:
 
 
 def _heated(hot: np.ndarray, stopped: np.ndarray, torques: np.ndarray) -> np.ndarray:
-    """Return the counts [n, 8] of heating after `hot`, with `torques [k, n, 8]` in k substeps; those of `stopped` stay."""
+    """Return the heating counts `hot [n, 8]` after k substeps of `torques [k, n, 8]`; `stopped` motors keep theirs."""
     cool = np.abs(torques) <= OVERHEAT_TORQUE
     since = cool[::-1].argmax(axis=0)
     return np.where(stopped, hot, np.where(cool.any(axis=0), since, hot + len(torques)))
 
 
 def _within(limits: tuple[np.ndarray, np.ndarray], x: np.ndarray) -> np.ndarray:
-    """Return `x` after it was clipped in place; on few numbers `numpy.clip` and limits that are no arrays take longer."""
+    """Return `x`, clipped in place; `numpy.clip`, or limits that are not arrays, would take longer on few numbers."""
     return np.minimum(np.maximum(x, limits[0], out=x), limits[1], out=x)

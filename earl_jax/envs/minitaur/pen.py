@@ -27,7 +27,7 @@ EFFORT = {"released": -0.005 * 0.002, "paper": 0.02}
 """Weight of the motors' power in each variant's reward; the released reward is -0.005 times the work of one 2 ms
 substep."""
 FAR = {"closed": 1.75, "floating": 100.0}
-"""Distance in metres from the middle beyond which the simulation broke, for each kind of walls."""
+"""Distance in metres from the middle beyond which the simulation broke, for each kind of wall."""
 HIGH = 2.0
 ON_ITS_BACK = -0.5
 """Cosine between the body's up axis and the vertical below which no robot ever recovered: docs/formalism.md."""
@@ -51,22 +51,21 @@ STANDING = (
         -38.2282875, -35.898999, -39.0575368, -35.6630831, -37.7938118, -35.3936648, -38.6194129, -35.156471,
     ),
 )  # fmt: skip
-"""qpos, qvel and warm start of the nominal robot after the released reset, which holds its motors at 90 degrees for 0.2
-s."""
+"""qpos, qvel and warm start of the nominal robot after the released reset: motors held at 90 degrees for 0.2 s."""
 REPORTED = (0.424335717, 0.477845813, 0.451270707, 0.511036733, 0.485318034, 0.428432067, 0.51529674, 0.455987717)
-"""The torques that its motors report after that reset."""
+"""The torques that the motors report after that reset."""
 
 
 @dataclasses.dataclass(frozen=True)
 class MinitaurPen(MujocoEnv):
     """A quadruped walks to a position in a pen.
 
-    `obs [32]` = motor angles 8, speeds 8, torques 8, quaternion 4, position 2, goal 2. There are 12 goals.
-    The quaternion is xyzw. `action [8]` is in leg space: four swings, then four extensions; legs: front left, back
-    left, front right, back right. `randomize` draws masses (20 %), battery, viscosity and the feet's friction at every
-    reset, as released. `overheat` shuts down a motor that was above 2.45 N m for a second, until the next reset.
-    `walls="floating"` has the released pen, out of which a crouching robot can walk. `variant="paper"` has the reward
-    of the paper's text. A fall does not end an episode, as released.
+    `obs [32]` = motor angles 8, speeds 8, torques 8, quaternion 4, position 2, goal 2. There are 12 goals. The
+    quaternion is xyzw. `action [8]` is in leg space: four swings, then four extensions; legs: front left, back left,
+    front right, back right. `randomize` draws masses (20 %), battery, viscosity and the feet's friction at every reset,
+    as released. `overheat` shuts down a motor that was above 2.45 N m for a second, until the next reset.
+    `walls="floating"` is the released pen, out of which a crouching robot can walk. `variant="paper"` uses
+    the reward of the paper's text. A fall does not end an episode, as released.
     """
 
     reward_type: str = "dense"
@@ -77,7 +76,7 @@ class MinitaurPen(MujocoEnv):
     overheat: bool = True
     walls: Literal["closed", "floating"] = "closed"
     variant: Literal["released", "paper"] = "released"
-    """The released reward, or that of the paper's text."""
+    """The released reward, or the reward of the paper's text."""
 
     name: ClassVar[str] = "minitaur_pen"
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.31, device=9.1)
@@ -101,7 +100,7 @@ class MinitaurPen(MujocoEnv):
 
     @property
     def reward_scale(self) -> float:
-        """0.1 for the dense reward, as released for such tasks."""
+        """The learner's default factor on the reward: 0.1 if it is dense, as released for such tasks."""
         return 10.0 if self.sparse else 0.1
 
     def reset(self, key: jax.Array) -> State:
@@ -130,24 +129,24 @@ class MinitaurPen(MujocoEnv):
         return jnp.linalg.norm(obs[..., 28:30] - obs[..., 30:], axis=-1) < RADIUS
 
     def irreversible(self, state: State) -> jax.Array:
-        """Return whether the robot is on its back, its up axis more than 120 degrees from the vertical, or at fault.
+        """Return whether the robot is on its back (its up axis more than 120 degrees from the vertical) or at fault.
 
-        At rest it stands (cosine 1), lies on a side (about 0.1) or lies on its back (below -0.9).
+        A robot at rest stands (cosine 1), lies on a side (about 0.1) or lies on its back (below -0.9).
         """
         x, y = state.obs[24:26]
         return super().irreversible(state) | (1.0 - 2.0 * (x**2 + y**2) < ON_ITS_BACK)
 
     @property
     def map(self) -> Map:
-        """The base's positions; with floating walls it may leave the bounds."""
+        """The positions of the robot's base; with floating walls it may leave the bounds."""
         bounds = np.array([[-WALL, -WALL], [WALL, WALL]], np.float32)
         return Map(position=lambda obs: obs[..., 28:30], bounds=bounds, starts=self.initial_states, goals=GOALS)
 
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., 32]`.
 
-        The released reward is minus twice the L1 distance minus a small multiple of the motors' power. In the paper's
-        text the distance is L2, and the power is rewarded, with a weight two thousand times as large.
+        The released reward is minus twice the L1 distance to the goal, minus a small multiple of the motors' power. In
+        the paper's text the distance is L2, and the power is rewarded, with a weight two thousand times as large.
         """
         if self.sparse:
             return self.success(obs).astype(jnp.float32)
@@ -174,7 +173,7 @@ def legs_to_motors(action: jax.Array) -> jax.Array:
 
 
 def observed(data: PhysicsState) -> jax.Array:
-    """Return the state [30] of a robot at `data`: angles and speeds with the motors' sign, orientation as xyzw."""
+    """Return the state [30] of a robot in `data`: angles and speeds with the motors' sign, orientation as xyzw."""
     angles, speeds = data.qpos[POSITIONS] * DIRECTION, data.qvel[SPEEDS] * DIRECTION
     reported, orientation = data.memory[MOTORS : 2 * MOTORS], jnp.roll(data.qpos[3:7], -1)
     return jnp.concatenate([angles, speeds, reported, orientation, data.qpos[:2]])

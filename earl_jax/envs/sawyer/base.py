@@ -20,31 +20,31 @@ from earl_jax.envs.state import NextState, State
 from earl_jax.physics import PhysicsState
 
 REACH = 0.01
-"""Metres that the mocap target moves at action 1."""
+"""Metres that the mocap target moves for an action of 1."""
 HAND_LOW = np.array([-0.5, 0.4, 0.05], np.float32)
 HAND_HIGH = np.array([0.5, 1.0, 0.5], np.float32)
 POINTING_DOWN = np.array([1.0, 0.0, 1.0, 0.0], np.float32) / np.float32(np.sqrt(2.0))
 OPENING = 0.1
-"""Metres between the finger tips at which the gripper reads 1."""
+"""Metres between the finger tips at which the observed gripper opening is 1."""
 RELEASED_SIZE, GRIPPER = 7, 3
 """Length of a released state, and the index of the gripper's opening in it; `variant="paper"` omits it."""
 ARM = 9
-"""Number of joints of arm and fingers; the object's joints follow."""
+"""Number of joints of the arm and the fingers; the object's joints follow."""
 WRIST = 6
 """Index of the arm's last joint, which rotates the hand in position."""
 JOINT_SPEED = np.array([2.8, 3.6], np.float32)
 LEASH = np.array([0.38, 0.03], np.float32)
 """Metres by which the mocap target may lead the hand while the fastest joint before the wrist turns at `JOINT_SPEED`
-[rad/s]; linear between. A difference from the original: there, a hand that slips off the handle with its target half a
+[rad/s]; linear between. A difference from the original, where a hand that slips off the handle with its target half a
 metre away reaches 9 m/s, 22 mm per substep, and passes through the next obstacle. The recordings stay below 0.36 m and
-2.8 rad/s, where this has no effect."""
+2.8 rad/s, where the limit has no effect."""
 
 
 class Pose(NamedTuple):
-    """The arm after a reset: mocap `target [3]`, joint `qpos, qvel, warmstart [9]`, observed `hand [3]`, `grip`; also arrays.
+    """The arm after a reset: mocap `target [3]`, joint `qpos, qvel, warmstart [9]`, observed `hand [3]` and `grip`.
 
-    The original simulates 250 substeps at every reset, after which it is not yet at rest. These are the resulting
-    states.
+    The fields are tuples and numbers, or arrays. The original simulates 250 substeps at every reset, after which the
+    arm is not yet at rest; the poses are the resulting states.
     """
 
     target: tuple[float, ...] | jax.Array
@@ -60,12 +60,12 @@ class Sawyer(MujocoEnv):
     """An arm and an object: `obs [14]` = hand 3, gripper opening 1, object 3, goal 7; `action [4]` = dx, dy, dz, grip.
 
     A step moves the mocap target by up to 1 cm along each axis; `grip` +1 closes, -1 opens. `reset_at_goal` starts at
-    the task's goal, as the released option for backward evaluations and demonstrations does. The released 5 `substeps`
+    the task's goal, like the released option for backward evaluations and demonstrations. The released 5 `substeps`
     are 2.5 ms each.
 
-    The paper's text contradicts itself: it says 12 numbers, which `variant="paper"` has, but lists the gripper's opening
-    too, with which there are 14. It calls `grip` a torque; as released, it sets the targets of the fingers' position
-    actuators.
+    The paper's text contradicts itself: it says 12 numbers, as `variant="paper"` observes, but also lists the gripper's
+    opening, which makes 14. It calls `grip` a torque; here, as released, `grip` sets the targets of the fingers'
+    position actuators.
     """
 
     substeps: int = 5
@@ -76,7 +76,7 @@ class Sawyer(MujocoEnv):
     action_size: ClassVar[int] = 4
     control_step: ClassVar[float] = 0.0125
     demo_count: ClassVar[int]
-    """Number of scripted demonstrations in each direction, as in the paper's table."""
+    """Number of scripted demonstrations in each direction, from the paper's table."""
     radius: ClassVar[dict[str, float]]
     """Largest distance [m] of the object to its goal that counts as success, for each variant."""
     released_goals: ClassVar[np.ndarray]
@@ -85,11 +85,11 @@ class Sawyer(MujocoEnv):
     """The initial states [I, 7] as released."""
     object_low: ClassVar[np.ndarray]
     object_high: ClassVar[np.ndarray]
-    """The box [m] of the object's positions; outside it, the simulation broke."""
+    """The box [m] of the object's positions; if the object is outside, the simulation broke."""
 
     @property
     def observed_indices(self) -> np.ndarray:
-        """Indices of the released state [7] that this variant observes."""
+        """Indices of the numbers of the released state [7] that this variant observes."""
         return np.delete(np.arange(RELEASED_SIZE), [] if self.variant == "released" else GRIPPER)
 
     @property
@@ -113,11 +113,11 @@ class Sawyer(MujocoEnv):
 
     @abc.abstractmethod
     def joints_at(self, position: jax.Array) -> jax.Array:
-        """Return the object's joints [j] at which its observed position is `position [3]`."""
+        """Return the object's joints [j] that put its observed position at `position [3]`."""
 
     @property
     def demonstrations(self) -> TaskDemos:
-        """With `reset_at_goal`, recorded backward demonstrations lead forward; the script records the released directions."""
+        """The demonstrations; `reset_at_goal` exchanges the recorded directions, but not those of the script."""
         script = DemoScript(noise=0.2, starts=dataclasses.replace(self, reset_at_goal=False)._demo_starts)
         return dataclasses.replace(
             super().demonstrations,
@@ -145,7 +145,7 @@ class Sawyer(MujocoEnv):
     ) -> State:
         """Return the state with the object at `joints [j]`, observed at `position`, and the arm in its reset pose.
 
-        `arm` is another pose, whose fields can be arrays.
+        `arm` gives another pose, whose fields can be arrays; `info` adds fields to the state's `info`.
         """
         pose, rest = arm or self.pose, jnp.zeros_like(joints)
 
@@ -175,7 +175,7 @@ class Sawyer(MujocoEnv):
         return data, vector, {}
 
     def _observed_demos(self, demos: Demos) -> Demos:
-        """Return `demos` with the numbers that this variant observes; those that it recorded have no others."""
+        """Return `demos` with the numbers that this variant observes; those recorded with it stay as they are."""
         parts = {name: getattr(demos, name) for name in ("states", "goals", "next_states")}
         released = {name: part for name, part in parts.items() if part.shape[1] == RELEASED_SIZE}
         return demos._replace(**{name: part[:, self.observed_indices] for name, part in released.items()})
@@ -188,7 +188,7 @@ class Sawyer(MujocoEnv):
             yield DemoStart(forward=self.reset(key), backward=self._backward_demo_start(key), backward_goal=goal)
 
     def _backward_demo_start(self, key: jax.Array) -> State | None:
-        """Return the start of a backward demonstration; None for the end of the forward one."""
+        """Return the start of a backward demonstration; None starts it at the end of the forward one."""
 
     def fault(self, state: State) -> jax.Array:
         object_position, hand = self.object_in(state.obs), state.obs[:3]

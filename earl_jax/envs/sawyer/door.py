@@ -20,7 +20,7 @@ HEIGHT = np.float32(0.100036)
 OPEN = -np.pi / 3
 NOISE = np.pi / 20
 STOP = -1.39
-"""The largest opening drawn: the stop of the hinge is at -1.4."""
+"""Angle of the widest opening among random starts; the hinge stops at -1.4."""
 DOOR = np.array([0.1, 0.95, 0.1], np.float32)
 """The door's own position, which the released dense reward uses as the handle's start."""
 CLOSED = np.array([0.29072163, 0.74286009, 0.10003595], np.float32)
@@ -57,14 +57,14 @@ AT_HANDLE = Pose(
     hand=(0.29223742, 0.68626189, 0.11374819),
     grip=0.69962465,
 )  # fmt: skip
-"""Result of the released reset at the closed door on our own model; in contact, so not identical to the original's."""
+"""Result of the released reset at the closed door on our own model; in contact, so it differs from the original's."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SawyerDoor(Sawyer):
     """A robot arm closes an open door by its handle.
 
-    The door starts at -60 degrees plus noise up to 9. Success: the handle is within 2 cm (paper: 8 cm) of its goal.
+    The door starts at -60 degrees plus noise of up to 9. Success: the handle is within 2 cm (paper: 8 cm) of its goal.
     `door_noise=False` starts every episode at -60 degrees.
     """
 
@@ -93,10 +93,10 @@ class SawyerDoor(Sawyer):
 
     @property
     def starts(self) -> Starts:
-        """Half of the wide starts are ordinary. In the others the door and the arm are anywhere.
+        """The wide starts: half of them are ordinary, and in the other half door and arm can be anywhere.
 
-        The door's angle is uniform from its stop to 9 degrees from closed, and the arm rests in one of 16 poses all
-        over its range that touch the door at no angle. The release has no such starts.
+        The door's angle is uniform from its stop to 9 degrees from closed, and the arm rests in one of 16 poses across
+        its range that do not touch the door at any angle. The release has no such starts.
         """
         return Starts(wide=self._wide_start if self.sparse and not self.reset_at_goal else None)
 

@@ -17,8 +17,8 @@ HANDLE = np.array([0.375722, -0.10714])
 """The handle's position relative to the hinge, in the door's frame."""
 HANDLE_ANGLE = np.arctan2(HANDLE[1], HANDLE[0])
 PUSH, PULL = np.array([0.375, -0.175], np.float32), np.array([0.415, -0.055], np.float32)
-"""Positions from which the hand moves the door, in its frame: in front of the handle to close, behind its free end to
-open."""
+"""Positions from which the hand moves the door, in the door's frame: in front of the handle to close it, and behind the
+free end of the handle to open it."""
 BAR = -0.12
 """Depth of the handle's bar in the door's frame."""
 HANDLE_HEIGHT = 0.1
@@ -27,7 +27,7 @@ GRASP = np.array([0.14, 0.0, 0.0], np.float32)
 """Grasp position of the script, relative to the peg's head."""
 PEG_GRIP = 0.05
 HELD = 0.5
-"""Reading of the gripper below which it has closed on the peg."""
+"""Observed opening below which the gripper has closed on the peg."""
 LIFTED = 0.13
 OUT = -0.05
 
@@ -38,7 +38,7 @@ def steer(hand: jax.Array, target: jax.Array, grip: jax.Array | float) -> jax.Ar
 
 
 def limited(move: jax.Array) -> jax.Array:
-    """Return `move [3]` with its direction, scaled down to components in [-1, 1] where they are larger."""
+    """Return `move [3]`, scaled down without changing its direction if a component is outside [-1, 1]."""
     scaled = move / jnp.maximum(1.0, jnp.abs(move).max())
     return jnp.clip(scaled, -1.0, 1.0)  # XLA may round the quotient of equal numbers to more than 1
 

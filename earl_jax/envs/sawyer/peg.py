@@ -25,8 +25,9 @@ HIGH = np.array([0.2, 0.7, 0.02], np.float32)
 SCATTER = 0.02
 RADIUS = 0.05
 NEAREST, WIDEST = 0.335, 0.68
-"""Metres: if the middle of the peg has a smaller y or a larger |x|, the hand cannot touch it or can only push it further
-away: docs/formalism.md. A hand that swings past its target reaches x = 0.545, and so a peg of half length 0.12 at 0.68."""
+"""Metres: if the middle of the peg has a smaller y or a larger |x|, the hand cannot touch it or can only push it
+further away (docs/formalism.md). A hand that overshoots reaches x = 0.545, and therefore a peg of half length 0.12 at
+0.68."""
 INSERTED = np.array([-0.27, 0.6, 0.13], np.float32)
 HEADS = np.array(
     [
@@ -75,9 +76,9 @@ START_TIPS = np.array([0.00599209, 0.60039713, 0.14930194], np.float32)
 class SawyerPeg(Sawyer):
     """A robot arm inserts a peg into a box.
 
-    The peg starts anywhere in 20 by 20 cm. Success is a head within 5 cm of the end of the hole. `listed=True` starts at
-    one of the 15 published initial states. `wide=True` starts half of the time at one of 22 positions all over the table
-    (within 2 cm), as the released option `wide_init` does.
+    The peg starts anywhere in 20 by 20 cm. Success: the head is within 5 cm of the end of the hole. `listed=True`
+    starts at one of the 15 published initial states. `wide=True` starts half of the time within 2 cm of one of 22
+    positions all over the table, like the released option `wide_init`.
     """
 
     train_horizon: int = 100_000
@@ -107,12 +108,12 @@ class SawyerPeg(Sawyer):
         return self._start_with_peg(self._peg_start(start_key), random_row(goal_key, self.goal_states))
 
     def _listed_start(self, key: jax.Array, number: jax.Array) -> State:
-        """Return the start with that `number []` in the published list."""
+        """Return start `number []` of the published list."""
         return self._start_with_peg(_lying_peg(jnp.asarray(HEADS)[number]), jnp.asarray(self.goal_states)[0])
 
     @property
     def starts(self) -> Starts:
-        """The wide starts are those of `wide=True`: half of them all over the table, where no demonstration begins."""
+        """The wide starts, as with `wide=True`: half of them are all over the table, where no demonstration begins."""
         wide = self._wide_start if self.sparse and not self.reset_at_goal else None
         return Starts(wide=wide, numbered=self._listed_start, count=len(HEADS)) if self.listed else Starts(wide=wide)
 
@@ -120,7 +121,7 @@ class SawyerPeg(Sawyer):
         return dataclasses.replace(self, listed=False, wide=True).reset(key)
 
     def _start_with_peg(self, peg: jax.Array, goal: jax.Array) -> State:
-        """Return a start state with the middle of the peg at `peg [3]`; its reward is that without effort."""
+        """Return a start state with the middle of the peg at `peg [3]`; its reward assumes no effort."""
         grasp = jnp.zeros(())
         if not self.sparse:
             grasp = _caging(_tips_about(jnp.asarray(START_TIPS), HOME.grip), peg + HEAD, peg, grasp)
@@ -132,7 +133,7 @@ class SawyerPeg(Sawyer):
 
     @property
     def demonstrations(self) -> TaskDemos:
-        """Those of both Sawyer tasks. The script observes the gripper, so `variant="paper"`, which omits it, has none."""
+        """The demonstrations; `variant="paper"` has no script, because a script needs the gripper's opening."""
         demos = super().demonstrations
         return demos if self.variant == "released" else dataclasses.replace(demos, expert=None, script=None)
 
@@ -180,7 +181,7 @@ class SawyerPeg(Sawyer):
         )
 
     def _start_heads(self) -> np.ndarray:
-        """Return x, y [K, 2] of the head at a start: a grid with steps of 2 cm over the square of starts, or the listed ones."""
+        """Return x, y [K, 2] of the head at starts: the listed ones, or a 2 cm grid over the square of starts."""
         if self.reset_at_goal:
             return INSERTED[None, :2]
         if self.listed:
@@ -192,8 +193,8 @@ class SawyerPeg(Sawyer):
     def reward(self, obs: jax.Array) -> jax.Array:
         """Return the reward [...] of arriving in `obs [..., o]`.
 
-        The dense reward also depends on the action, both finger tips and the peg's start. Here they are no effort, tips
-        symmetric about the hand, and the nominal start. `step` and `goal_reward` use the actual values.
+        The dense reward also depends on the action, both finger tips and the peg's start. Here it assumes no effort,
+        tips symmetric about the hand, and the nominal start. `step` and `goal_reward` use the actual values.
         """
         if self.sparse:
             return self.success(obs).astype(jnp.float32)
@@ -234,7 +235,7 @@ def _lying_peg(head: jax.Array) -> jax.Array:
 
 
 def _tips_about(middle: jax.Array, grip: jax.Array | float) -> jax.Array:
-    """Return the right and left finger tip [2, 3], symmetric about `middle [3]` and `grip []` of their opening apart."""
+    """Return the right and left finger tip [2, 3], symmetric about `middle [3]`, `grip []` of their opening apart."""
     side = jnp.array([0.0, OPENING / 2, 0.0]) * grip
     return jnp.stack([middle - side, middle + side])
 
@@ -242,8 +243,8 @@ def _tips_about(middle: jax.Array, grip: jax.Array | float) -> jax.Array:
 def _caging(tips: jax.Array, head: jax.Array, start: jax.Array, effort: jax.Array) -> jax.Array:
     """Return the reward for enclosing the peg with the fingers, in [0, 1].
 
-    `tips [2, 3]` are the right and left finger tip, `head [3]` and `start [3]` the peg's head and the start of its
-    middle, `effort []` the gripper's action. Source: Meta-World, `_gripper_caging_reward`, high density.
+    `tips [2, 3]` are the right and left finger tip, `head [3]` is the peg's head, `start [3]` the start of the peg's
+    middle, and `effort []` the gripper's action. Source: Meta-World, `_gripper_caging_reward`, high density.
     """
     reach, radius, thin, pad = 0.03, 0.0075, 0.005, jnp.array([0.003, -0.003])
     grasp_position, middle = head - HEAD + GRASP, tips.mean(axis=0)

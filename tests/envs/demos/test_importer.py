@@ -176,7 +176,7 @@ def test_nothing_else_in_the_package_unpickles_but_workers_from_their_own_pipe()
 @pytest.mark.parametrize(
     ("change", "cause"),
     [
-        (lambda a: a.pop("actions"), "has the arrays"),
+        (lambda a: a.pop("actions"), "must contain the arrays"),
         (lambda a: a.update(actions=a["actions"][:-1]), "don't fit together"),
         (lambda a: a.update(rewards=np.array(["x"] * 10)), "elements of the type .U1"),
         (lambda a: a.update(observations=a["observations"][:, 1:]), r"\(10, 13\), not rows of a state and a goal"),
