@@ -17,23 +17,23 @@ from earl_jax.options.schedule import FIELDS
 from earl_jax.options.values import check, require_object
 
 list_algos = ALGOS.names
-"""`list_algos()` returns the names that `make_algo` takes, sorted."""
+"""`list_algos()` returns the names that `make_algo` accepts, sorted."""
 register_algo = ALGOS.register
-"""`register_algo(name, cls)` registers the `Method` subclass `cls` for `make_algo`. A name that is taken is a ValueError."""
+"""`register_algo(name, cls)` registers the `Method` subclass `cls` for `make_algo`. A taken name is a ValueError."""
 list_learners = LEARNERS.names
 """`list_learners()` returns the names of the learners, sorted."""
 register_learner = LEARNERS.register
-"""`register_learner(name, cls)` registers the `Learner` subclass `cls`. A name that is taken is a ValueError."""
+"""`register_learner(name, cls)` registers the `Learner` subclass `cls`. A name that is taken raises a ValueError."""
 
 
 def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> Method:
-    """Return the method `name`; options are its own fields and those of its learner, whose defaults it can replace.
+    """Return the method `name`; `options` are fields of the method and of its learner.
 
-    A float field also takes a list with a value for each lane: `make_algo("vaprl", reward_scale=[1.0, 10.0])` for two
-    lanes. `learner` is a name of `list_learners()`, or an object, which gets these options too; by default `sac`.
+    A float field also accepts a list with a value for each lane: `make_algo("vaprl", reward_scale=[1.0, 10.0])` for two
+    lanes. `learner` is a name of `list_learners()` or a `Learner`, to which the options apply, too; by default `sac`.
 
     Raises:
-        ValueError: the name or an option is unknown; the message has the choices or the nearest.
+        ValueError: the name or an option is unknown; the message lists the choices or the most similar names.
     """
     method = ALGOS.get(name)
     base = method.learner if learner is None else learner
@@ -55,9 +55,9 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
 
 
 def _unknown_option(name: str, option: str, value: Any, known: Sequence[str], learner: str | None) -> InputError:
-    """Return the error of an `option` that the method `name` lacks: the fix, or the nearest `known` names and where all are.
+    """Return the error for an `option` that the method `name` lacks: a fix, or similar `known` names and where to look.
 
-    Names that are `known` and no options are those of the schedule. `learner` is the name of one that was chosen.
+    Names that are `known` but not options belong to the schedule. `learner` is the name of a learner that was chosen.
     """
     from difflib import get_close_matches
 
@@ -81,9 +81,9 @@ def _unknown_option(name: str, option: str, value: Any, known: Sequence[str], le
 
 
 def learner_of(options: dict[str, Any]) -> Learner:
-    """Return the learner that the options of a method describe; the method's own defaults are not in it.
+    """Return the learner that the options of a method describe, without the method's own defaults.
 
-    It evaluates policies of a run without the class of its method.
+    With it, policies of a run can be evaluated without the class of the method.
     """
     name = options.get("learner", LEARNER)
     fields = {field.name: field for field in dataclasses.fields(LEARNERS.get(name))}
@@ -92,7 +92,7 @@ def learner_of(options: dict[str, Any]) -> Learner:
 
 
 def preset_learner(method: type[Method], learner: type[Learner]) -> Learner:
-    """Return a `learner` with the defaults of `method`: of another class than its own, those that every learner has."""
+    """Return a `learner` with the defaults of `method`; if its own learner has another class, only the shared ones."""
     preset = method.learner
     if type(preset) is learner:
         return preset
@@ -100,7 +100,7 @@ def preset_learner(method: type[Method], learner: type[Learner]) -> Learner:
 
 
 def method_for(env: Env, name: str, **options) -> Method:
-    """Return `make_algo(name, **options)`, with the reward scale of `env` unless it or a learner object has another one.
+    """Return `make_algo(name, **options)` with the reward scale of `env`, unless options or a learner object set it.
 
     Raises:
         ValueError: as in `make_algo`, or `env` is a name instead of a task.
@@ -118,7 +118,7 @@ def has_default_scale(learner: Learner) -> bool:
 
 
 def _leaf(field: dataclasses.Field, value: Any) -> Any:
-    """Return `value` as `field` holds it: a list has a value for each lane, or it is a static option, such as sizes."""
+    """Return `value` as `field` stores it: a list gives a value for each lane, or a static option such as sizes."""
     is_static = not field.metadata.get("pytree_node", True)
     if is_static and isinstance(value, np.ndarray):
         value = value.tolist()

@@ -19,13 +19,13 @@ class BC(FBRL):
 
     Clone the demonstrations before the first step, then live as FBRL does, without noise and without learning.
 
-    With the demonstrated steps (s, g, a) of both directions, or of those that the task has, the greedy policy pi
-    minimises `mean (pi(s, g) - a)^2` in `Learner.pretrain_steps`. It acts greedily: nothing explores. No update follows,
-    and the metrics of the learner are 0.
+    On the demonstrated steps (s, g, a) of both directions, or of the one that the task has, `Learner.pretrain_steps`
+    steps minimise `mean (pi(s, g) - a)^2` of the greedy policy pi. The agent then acts greedily: it neither explores
+    nor learns, and the metrics of the learner are 0.
 
-    Source: Pomerleau 1989 (ALVINN), the regression of actions on observations. No paper on EARL has this row: it is the
-    floor that a method with the same demonstrations has to beat. Phases and goals are those of `FBRL`. There are no
-    random steps by default.
+    Source: Pomerleau 1989 (ALVINN), the regression of actions on observations. No paper on EARL reports this method. It
+    is the floor that a method with the same demonstrations has to beat. Phases and goals are those of `FBRL`. There are
+    no random steps by default.
     """
 
     learner: Learner = SAC(random_steps=0, pretrain_steps=4000)

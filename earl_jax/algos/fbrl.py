@@ -17,8 +17,8 @@ class FBRL(Method):
     Alternate a forward controller on task goals and a backward one on initial states, each with its own replay.
 
     Source: Han et al. 2015 and Eysenbach et al. 2018, as run by Sharma et al. 2022. Both phases end on success or after
-    H_E steps, and only the acting controller learns. The released variants differ; this one has the published cycle of
-    92 steps.
+    H_E steps, and only the acting controller learns. The released variants differ; this one reproduces the published
+    cycle of 92 steps.
     """
 
     controllers: int = struct.field(pytree_node=False, default=2, metadata=within("[1, 2]"))

@@ -16,9 +16,8 @@ from earl_jax.errors import InputError
 class Goals(NamedTuple):
     """The static table of goals [M, g] of an env: `tasks` task goals, `initials` initial states, demonstrated states.
 
-    Demonstrated states have the order of the replay's first rows; `ends [C]` is, for each of them, the index of the
-    last state of its demonstration. `requested []` is the task goal that the environment sets, -1 if the method draws its
-    own.
+    Demonstrated states are in the order of the replay's first rows; `ends [C]` gives for each of them the index of the
+    last state of its demonstration. `requested []` is the task goal that the environment sets, or -1.
     """
 
     table: np.ndarray
@@ -51,17 +50,17 @@ class GoalIndices(NamedTuple):
 
 
 def later_demonstrated(goals: Goals, row: jax.Array, draw: jax.Array) -> jax.Array:
-    """Return a row [B] that follows each demonstrated `row [B]` of the replay in its demonstration, by `draw [B]` in [0, 1).
+    """Return a later row [B] of the same demonstration for each demonstrated `row [B]`, chosen by `draw [B]` in [0, 1).
 
-    The rows count the `candidates` of `goals`, too, unless the method samples demonstrations of the way back alone. For
-    rows that are not demonstrated, the result has no meaning.
+    Row numbers of the replay also index `goals.candidates`, unless the method samples backward demonstrations alone.
+    For rows that are not demonstrated, the result has no meaning.
     """
     last = jnp.asarray(goals.ends)[jnp.minimum(row, len(goals.ends) - 1)]
     return row + 1 + jnp.floor(draw * (last - row)).astype(jnp.int32)
 
 
 def rescored(env: Env, batch: TransitionBatch, goal: jax.Array, changed: jax.Array) -> TransitionBatch:
-    """Return `batch [B]` with the rewards and successes of its next states under `goal [B, g]` where `changed [B]`."""
+    """Return `batch [B]` with rewards and successes recomputed under `goal [B, g]` where `changed [B]` is true."""
     obs = jnp.concatenate([batch.next_state, goal], axis=-1)
     reached = jnp.where(changed, env.success(obs) & env.sparse, batch.flags.reached)
     reward = jnp.where(changed, env.reward(obs), batch.reward)
@@ -69,13 +68,13 @@ def rescored(env: Env, batch: TransitionBatch, goal: jax.Array, changed: jax.Arr
 
 
 def goal_table(env: Env) -> Goals:
-    """Return the goals of `env`; without demonstrations, these are its task goals and initial states only."""
+    """Return the goals of `env`: task goals, initial states and, if there are demonstrations, demonstrated states."""
     return _goal_table(env, *(np.asarray(table).tobytes() for table in (env.goal_states, env.initial_states)))
 
 
 @functools.cache
 def _goal_table(env: Env, *tables: bytes) -> Goals:
-    """Return the goals of `env`, whose `tables` `%autoreload` can change in an equal env."""
+    """Return the goals of `env`; `tables` belong to the cache key: `%autoreload` can change them in an equal env."""
     parts, ends = [env.goal_states, env.initial_states], [np.zeros(0, int)]
     if env.state_size == env.goal_size:
         for direction in env.demonstrations.directions:
@@ -90,7 +89,7 @@ def _goal_table(env: Env, *tables: bytes) -> Goals:
 
 
 def trajectories(demos: assets.Demos) -> tuple[np.ndarray, np.ndarray]:
-    """Return all states [T + D, s] of D demonstrations, and for each the index of its demonstration's last state."""
+    """Return all states [T + D, s] of D demonstrations, and each one's index of the last state of its demonstration."""
     spans = assets.spans(demos.ends)
     states = [np.vstack([demos.states[span], demos.next_states[span][-1:]]) for span in spans]
     lengths = np.array([len(part) for part in states])

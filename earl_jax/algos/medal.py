@@ -1,4 +1,4 @@
-"""MEDAL: a backward controller that a classifier draws to the states of the demonstrations."""
+"""MEDAL: a classifier rewards the backward controller for states that resemble the demonstrations."""
 
 from typing import Any, ClassVar
 
@@ -21,12 +21,12 @@ from earl_jax.options.values import COUNT, within
 HALF_BATCH = 400
 """Rows of each class in a step of the classifier (released)."""
 SMALLEST = 1e-10
-"""Added to the probability in the reward (released), which bounds it by 23."""
+"""Added to the probability in the reward (released), so that the reward is at most 23."""
 _NETWORK = MLP((128, 1))
 
 
 class Classifier(struct.PyTreeNode):
-    """The parameters of C, a log-odds, with Adam's moments; loss and accuracy of its last step."""
+    """The classifier C, which returns log-odds: parameters, Adam's moments, and the metrics of its last step."""
 
     params: Any
     moments: Any
@@ -39,20 +39,20 @@ class Classifier(struct.PyTreeNode):
 
 
 class MEDAL(Method):
-    """As FBRL, back to the states of the demonstrations.
+    """As FBRL, but back to the states of the demonstrations.
 
     Alternate a forward controller on task goals and a backward one that seeks the states of the demonstrations.
 
     The classifier C(s, g) tells states D+ of the forward demonstrations from states D- of backward phases. The backward
     reward is `-log(1 - sigmoid(C(s', g)) + 1e-10)` with the current C, times the reward scale, where g is the task goal
     of the attempt that follows. A forward phase ends at success or after `phase_steps`, a backward one after
-    `phase_steps` only. All ends are terminal by default. Every `refresh_every` steps, C takes an Adam step on the binary
-    cross-entropy of 400 rows of each class, mixed: `x <- m x + (1 - m) x_p` and labels alike, with m ~ Beta(1, 1) for
-    each row and a random permutation p of the 800.
+    `phase_steps` only. All ends are terminal by default. Every `refresh_every` steps, C makes an Adam step on the
+    binary cross-entropy of 400 rows of each class, mixed: `x <- m x + (1 - m) x_p` and labels alike, with m ~ Beta(1,
+    1) for each row and a random permutation p of the 800.
 
-    The forward controller's replay starts with the forward demonstrations, the backward one's with these and with the
-    backward demonstrations under every task goal. Cloning (`Learner.cloning`, `Learner.pretrain_steps`) draws the backward
-    controller to the backward demonstrations only.
+    The forward controller's replay starts with the forward demonstrations, the backward controller's with these and
+    with the backward demonstrations under every task goal. In cloning (`Learner.cloning`, `Learner.pretrain_steps`),
+    the backward controller imitates the backward demonstrations only.
 
     Source: Sharma, Ahmad and Finn 2022, "A State-Distribution Matching Approach to Non-Episodic Reinforcement Learning"
     (MEDAL), and its released code, which has the constants. Deliberate differences: networks,
@@ -82,7 +82,7 @@ class MEDAL(Method):
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
     ) -> GoalIndices:
-        """Return the goals of a new phase: a backward phase draws the task goal, the forward one after it keeps it."""
+        """Return the goals of a new phase: a backward phase draws a task goal, which the next forward phase keeps."""
         task = jnp.where(phase == RETURN, goals.draw_task(key), current.task)
         return GoalIndices(goal=task, task=task)
 
@@ -91,7 +91,7 @@ class MEDAL(Method):
     ) -> TransitionBatch:
         """Return `batch` with a random task goal for backward demonstrations, and the classifier's reward in backward phases.
 
-        A backward phase clones these demonstrations only.
+        A backward phase clones only the backward demonstrations.
         """
         backward = batch.demonstrated & (batch.flags.goal >= goals.tasks) & (phase == RETURN)
         task = jax.random.randint(key, backward.shape, 0, goals.tasks)
@@ -101,7 +101,7 @@ class MEDAL(Method):
         return batch._replace(reward=reward)
 
     def demo_likeness(self, goals: Goals, batch: TransitionBatch, classifier: Classifier) -> jax.Array:
-        """Return the classifier's reward [B] at s', or at s where a reset overwrote s'."""
+        """Return the classifier's reward [B] at s', or at s if a reset overwrote s'."""
         state = jnp.where(batch.flags.no_successor[:, None], batch.state, batch.next_state)
         obs = jnp.concatenate([state, jnp.asarray(goals.table)[batch.flags.goal]], axis=-1)
         logits = apply(classifier.params, obs, self.learner.precision)[:, 0]
@@ -120,7 +120,7 @@ class MEDAL(Method):
         batch: TransitionBatch | None,
         method_state: Classifier,
     ) -> Classifier:
-        """Return the classifier after a step, or as it is before the first backward phase."""
+        """Return the classifier after a training step; before the first backward phase it stays unchanged."""
         assert batch is not None
         row_key, mix_key = jax.random.split(key)
         demonstrated = jnp.asarray(demonstrated_obs(env))
@@ -151,7 +151,7 @@ class MEDAL(Method):
 
 
 def mix(key: jax.Array, rows: jax.Array, labels: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return `rows [B, o]` and `labels [B]`, each mixed with another one: mixup (Zhang et al. 2018) with Beta(1, 1)."""
+    """Return `rows [B, o]` and `labels [B]`, each mixed with another: mixup (Zhang et al. 2018) with Beta(1, 1)."""
     order_key, share_key = jax.random.split(key)
     other = jax.random.permutation(order_key, len(rows))
     share = jax.random.uniform(share_key, labels.shape)
@@ -167,7 +167,7 @@ def demonstrated_obs(env: Env) -> np.ndarray:
 
 
 def demos_to_clone(env: Env, demos: DemoSteps) -> DemoSteps:
-    """Return the demonstrations of the forward controller, and the backward ones under each task goal for the other."""
+    """Return the forward controller's demonstrations, and for the backward one its own under each task goal."""
     size, tasks = env.state_size, env.goal_states
     is_forward = (np.abs(demos.obs[:, None, size:] - tasks).max(axis=-1) < 1e-6).any(axis=1)
     forward, back = demos.controller == TASK, (demos.controller == RETURN) & ~is_forward

@@ -1,6 +1,6 @@
 """The base class of methods: phases as data, and a few pure functions that the training loop calls.
 
-The defaults are naive RL's with episodes of H_E steps.
+The defaults are those of naive RL with episodes of H_E steps.
 """
 
 import dataclasses
@@ -21,14 +21,14 @@ from earl_jax.errors import InputError, brief
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check_intervals, require, require_object
 
 TASK, RETURN = 0, 1
-"""The two phases: reach the task goal, then prepare the next attempt."""
+"""The indices of the two phases: reach the task goal, then return to prepare the next attempt."""
 
 
 class PhaseDemos(NamedTuple):
-    """The demonstrations of a `direction`, as the controller of a phase uses them, if the task has them.
+    """The demonstrations of a `direction` that the controller of a phase uses, if the task has them.
 
-    `every_goal`: the replay lists each transition once for every task goal, for methods that give it one in `prepare`.
-    `copies_per_step`: it lists each that many times for every later step of its demonstration, at least once.
+    `every_goal`: the replay lists each transition once per task goal, for methods whose `prepare` assigns a task goal.
+    `copies_per_step`: the replay lists each transition this often per later step of its demonstration, at least once.
     """
 
     direction: str
@@ -43,9 +43,9 @@ FORWARD, BACKWARD = PhaseDemos("forward"), PhaseDemos("backward")
 class Phase:
     """One of the phases between which a method alternates; the first one pursues the task.
 
-    `demos` are those of its `controller`; it times out after `length` steps, by default H_E; `ends_on_success`: reaching
-    the goal ends it (sparse tasks only); `resets`: its end resets the environment; `has_goal`: metrics count whether it
-    reaches its goal.
+    `controller`: the index of the controller that acts; `demos`: the demonstrations that it uses; `length`:
+    steps until the phase times out, by default H_E; `ends_on_success`: reaching the goal ends the phase (sparse tasks
+    only); `resets`: the end resets the environment; `has_goal`: metrics count whether the phase reaches its goal.
     """
 
     demos: tuple[PhaseDemos, ...] = (FORWARD,)
@@ -67,7 +67,7 @@ class Phase:
 class Moment(NamedTuple):
     """Where a lane is before a step: `step` of its lifetime and `phase_step` of its `phase`, int32 [], counted from 0.
 
-    `lane_key` is the lane's own key, the same in its whole lifetime, for draws that hold for more than one step.
+    `lane_key` is the lane's own key, which never changes, for draws that stay valid for more than one step.
     """
 
     step: jax.Array
@@ -79,8 +79,8 @@ class Moment(NamedTuple):
 class Method(OptionsNode):
     """A reset-free learning method: its phases, and functions of one lane. Float fields are vmappable leaves.
 
-    Subclasses override what differs from naive RL. A function that takes other arguments, or takes them in another
-    order, is an error when the class is defined.
+    Subclasses override what differs from naive RL. An override with other arguments, or with the arguments in another
+    order, raises an error when the class is defined.
     """
 
     learner: Learner = SAC()
@@ -88,34 +88,34 @@ class Method(OptionsNode):
     name: ClassVar[str]
     needs_demos: ClassVar[bool] = False
     entropy_free_pairs: ClassVar[int] = 0
-    """Pairs of critics without an entropy term, for methods that read `Learner.value`."""
+    """Number of pairs of critics without an entropy term, for methods that read `Learner.value`."""
     refresh_every: ClassVar[int] = 0
-    """Steps between calls of `refresh`; 0 for never. If they do not divide a chunk of training, it is their greatest common
-    divisor with its steps, and a warning says so."""
+    """Steps between calls of `refresh`; 0 for never. If the number does not divide the steps of a chunk of training,
+    the greatest common divisor of the two is used instead, and a warning says so."""
     refresh_batch_size: ClassVar[int] = 0
-    """Transitions of the last controller's own, no demonstrations, that `refresh` receives; 0 for none."""
+    """Number of the last controller's own transitions, without demonstrations, that `refresh` receives; 0 for none."""
     later_steps: ClassVar[int] = 0
     """Mean number of steps to the states `later` that `prepare` receives, for hindsight goals; 0 for none."""
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """The phases in their order; after the last one, the first follows."""
+        """The phases in their order; after the last phase the first one follows."""
         return (Phase(),)
 
     def init(self, key: jax.Array, env: Env, goals: Goals) -> Any:
         """Return the initial state of the method itself, a pytree of learnt or remembered values; empty by default.
 
-        If it has a dict `metrics` of scalars [], as an attribute or a key, these are columns `METHOD/NAME` of metrics.csv.
+        Scalars [] in its dict `metrics`, an attribute or a key, become columns `METHOD/NAME` of metrics.csv.
         """
         return ()
 
     def pretrain(self, key: jax.Array, env: Env, agent: Any, demos: DemoSteps | None) -> Any:
-        """Return `agent` (leading controller axis) before the first step, cloned in `Learner.pretrain_steps`.
+        """Return `agent` (leading controller axis) before the first step, after `Learner.pretrain_steps` of cloning.
 
-        `demos` is None if there are none.
+        `demos` is None if the method uses no demonstrations or the task has none.
 
         Raises:
-            ValueError: there are demonstrations to clone, and the task has none.
+            ValueError: there are steps of cloning, but `demos` is None.
         """
         if not self.learner.pretrain_steps:
             return agent
@@ -127,16 +127,16 @@ class Method(OptionsNode):
         return jax.vmap(self.learner.with_actor)(agent, actors)
 
     def act(self, key: jax.Array, env: Env, actor: Any, obs: jax.Array, moment: Moment, method_state: Any) -> jax.Array:
-        """Return the action [a] of the acting controller's `actor` at `obs [o]`, by default the learner's."""
+        """Return the action [a] of the acting controller's `actor` at `obs [o]`, by default `Learner.act`."""
         return self.learner.act(key, actor, obs)
 
     def ends_phase(
         self, key: jax.Array, env: Env, agent: Any, obs: jax.Array, moment: Moment, method_state: Any
     ) -> jax.Array:
-        """Return whether the phase times out after this step, bool []; by default after its `length`.
+        """Return whether the phase times out after this step, bool []; by default after `Phase.length` steps.
 
-        `obs [o]` is the observation before the step, and `agent` has a leading controller axis; see
-        `select_controller` and `controller_of`.
+        `obs [o]` is the observation before the step. `agent` has a leading controller axis; `select_controller` and
+        `controller_of` select the acting controller.
         """
         lengths = [env.eval_horizon if phase.length is None else phase.length for phase in self.phases]
         return moment.phase_step + 1 >= of_phase(lengths, moment.phase)
@@ -144,7 +144,7 @@ class Method(OptionsNode):
     def next_goal(
         self, key: jax.Array, goals: Goals, phase: jax.Array, current: GoalIndices, method_state: Any
     ) -> GoalIndices:
-        """Return the goals of a new `phase`, by default a random task goal, which can equal the `current` one."""
+        """Return the goals of a new `phase`: by default a random task goal, which can equal the `current` goal."""
         task = goals.draw_task(key)
         return GoalIndices(goal=task, task=task)
 
@@ -153,16 +153,16 @@ class Method(OptionsNode):
     ) -> TransitionBatch:
         """Return the sampled transitions of one lane, `batch [B]`, with the goals and rewards to learn from.
 
-        The controller that learns acted in `phase`. A target does not bootstrap where `flags` say that the goal was
-        reached, the lifetime ended, or, without `Learner.timeout_bootstrap`, the phase timed out. Rows that stay
-        `demonstrated` are cloned with `Learner.cloning`.
+        The controller that acted in `phase` learns from them. A target does not bootstrap where `flags` say that the
+        goal was reached, the lifetime ended or, without `Learner.timeout_bootstrap`, the phase timed out. With
+        `Learner.cloning`, the rows that are still `demonstrated` in the result are cloned.
         """
         return batch
 
     def learn(
         self, key: jax.Array, env: Env, agent: Any, batch: Batch, phase: jax.Array, method_state: Any
     ) -> tuple[Any, Any, dict[str, jax.Array]]:
-        """Return the acting controller and `method_state` after learning from `batch`, and `Learner.diagnostics`."""
+        """Return `agent` (the acting controller alone) and `method_state` after learning, and `Learner.diagnostics`."""
         updated = self.learner.update(key, agent, batch)
         known = agent, dict.fromkeys(self.learner.diagnostics, jnp.zeros(()))
         require_like(f"learner {self.learner.name}: update must return (agent, diagnostics)", updated, known)
@@ -174,14 +174,14 @@ class Method(OptionsNode):
     ) -> Any:
         """Return `method_state` refreshed with `agent` (leading controller axis), every `refresh_every` steps.
 
-        `batch [refresh_batch_size]` are transitions of the last controller's own, `demonstrated` where it has none yet;
-        None if `refresh_batch_size` is 0.
+        `batch [refresh_batch_size]` contains own transitions of the last controller; its rows are `demonstrated` while
+        that controller has none. It is None if `refresh_batch_size` is 0.
         """
         return method_state
 
 
 def check_method(method: Method) -> None:
-    """Raise an InputError if the learner or the phases of `method` are none, or an option of either is invalid or unused."""
+    """Raise an InputError if the learner, the phases or an option of `method` is invalid, or `refresh` never runs."""
     learner, phases = method.learner, method.phases
     if not isinstance(phases, tuple | list) or not phases or not all(isinstance(phase, Phase) for phase in phases):
         raise InputError(f"{method.name}: phases must be a tuple of one Phase or more, not {brief(phases)}")
@@ -211,7 +211,7 @@ def controller_of(method: Method, phase: jax.Array) -> jax.Array:
 
 
 def select_controller(agent: Any, index: jax.Array) -> Any:
-    """Return one controller of `agent`, or of a part of it, without the leading axis; a stack of one needs no gather."""
+    """Return controller `index` of `agent`, or of a part of it, without the leading axis; one alone needs no gather."""
     return jax.tree.map(lambda leaf: leaf[0] if leaf.shape[0] == 1 else leaf[index], agent)
 
 
@@ -222,7 +222,7 @@ def kept_transitions(method: Method) -> int | None:
 
 
 def of_phase(values: list[Any], phase: jax.Array) -> Any:
-    """Return the static value of `values` that belongs to `phase []`, by as few operations as they need."""
+    """Return the one of the static `values` that belongs to `phase []`, with as few operations as possible."""
     if all(value == values[0] for value in values):
         return values[0]
     if values == list(range(len(values))) and not isinstance(values[0], bool):

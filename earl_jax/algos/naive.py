@@ -1,4 +1,4 @@
-"""Naive RL: one endless episode, with the biased TD update every 1000 steps."""
+"""Naive RL: one endless episode with a biased TD update every 1000 steps."""
 
 from typing import Any, ClassVar
 
@@ -13,18 +13,18 @@ from earl_jax.options.values import COUNT, within
 class Naive(Method):
     """Pursue one task goal after another, without a reset.
 
-    Keep the task goal until it is reached or `episode_length` steps have passed, then draw the next one, no reset.
+    Keep the task goal until it is reached or `episode_length` steps have passed; then draw the next one, without reset.
 
     Source: Sharma et al. 2022, section 6.1. The text does not say that success also draws a new goal, but the published
     reward rate of one reward in 30.7 steps on tabletop requires it.
     """
 
     episode_length: int = struct.field(pytree_node=False, default=1000, metadata=within(COUNT))
-    """Steps until a goal that was not reached is given up, with the biased TD update (released flags: 400)."""
+    """Steps after which a goal that was not reached is given up, with the biased TD update (released flags: 400)."""
 
     global_clock: bool = struct.field(pytree_node=False, default=False)
-    """Whether that happens when the step of the lifetime is a multiple of `episode_length`, as section 6.1 says,
-    instead of `episode_length` steps after the last goal."""
+    """Whether goals are given up when the step of the lifetime is a multiple of `episode_length`, as section 6.1 says,
+    instead of `episode_length` steps after the goal was drawn."""
 
     name: ClassVar[str] = "naive"
 

@@ -15,9 +15,9 @@ from earl_jax.errors import check_overrides
 class OptionsNode:
     """A frozen dataclass that is a pytree. Fields of `flax.struct.field(pytree_node=False)` belong to its structure.
 
-    It is a `flax.struct.PyTreeNode` whose structure has its class as well. The structures of two classes of flax with equal
-    fields are equal but have different hashes (jaxlib 0.10.2), so that `jax.jit` now and then runs the program of the other
-    class: that of naive RL for a subclass, or that of a class which a notebook has defined again since.
+    It is a `flax.struct.PyTreeNode` whose structure also contains its class. In flax, the structures of two classes
+    with equal fields are equal but have different hashes (jaxlib 0.10.2). `jax.jit` therefore sometimes runs the
+    program of the wrong class: naive RL's for a subclass, or that of a class that a notebook has since redefined.
     """
 
     def __init_subclass__(cls, **options: Any):
@@ -26,7 +26,7 @@ class OptionsNode:
         dataclasses.dataclass(frozen=True, **options)(cls)
 
         def names() -> tuple[list[str], list[str]]:
-            """Return the fields that are leaves and the others, to which `%autoreload` may have added some."""
+            """Return the names of leaf fields and of static fields, including fields that `%autoreload` has added."""
             fields = dataclasses.fields(cls)
             leaves = [field.name for field in fields if field.metadata.get("pytree_node", True)]
             return leaves, [field.name for field in fields if field.name not in leaves]
@@ -43,10 +43,10 @@ class OptionsNode:
         jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)
 
     def replace(self, **changes: Any) -> Self:
-        """Return a copy with other values of some fields."""
+        """Return a copy with the fields in `changes` replaced."""
         return dataclasses.replace(self, **changes)
 
 
 def _leaf(value: Any) -> Any:
-    """Return a list of a number for each lane as an array, since jax takes a list apart; other values as they are."""
+    """Return a list with a number for each lane as an array, because jax would flatten a list; keep other values."""
     return np.asarray(value) if isinstance(value, list) and all(map(np.isscalar, value)) else value

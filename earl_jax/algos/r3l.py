@@ -1,4 +1,4 @@
-"""R3L: a perturbation controller, rewarded for novelty, changes the state between attempts at the task."""
+"""R3L: between attempts at the task, a perturbation controller that is rewarded for novelty changes the state."""
 
 from typing import Any, ClassVar
 
@@ -20,7 +20,7 @@ _NETWORK = MLP((256, 256, EMBEDDING))
 
 
 class RND(struct.PyTreeNode):
-    """Random network distillation: a fixed target, its predictor with Adam's moments, and the running scale sigma."""
+    """Random network distillation: a fixed target, its predictor with Adam's moments, and the running scale `sigma`."""
 
     target: Any
     predictor: Any
@@ -28,7 +28,7 @@ class RND(struct.PyTreeNode):
     sigma: jax.Array
 
     def error(self, predictor: Any, states: jax.Array, precision: str = "tf32") -> jax.Array:
-        """Return the squared prediction error [B], averaged over the embedding, at `states [B, s]`."""
+        """Return the squared prediction error [B] at `states [B, s]`, averaged over the embedding."""
         target, prediction = [apply(params, states, precision) for params in (self.target, predictor)]
         return jnp.square(target - prediction).mean(axis=-1)
 
@@ -40,8 +40,8 @@ class R3L(Method):
 
     Source: Zhu et al. 2020, as run by Sharma et al. 2022 with the true reward and no classifier. Novelty is the
     prediction error on the state before the step, without the goal. As in the authors' released code, it is divided by
-    an exponential average of the standard deviation of novelty, which tends to the root of that of the error. The
-    predictor has the paper's shared learning rate. The perturbation controller receives no demonstrations.
+    an exponential average of its own standard deviation, which tends to the root of the error's standard deviation. The
+    predictor uses the paper's shared learning rate. The perturbation controller receives no demonstrations.
     """
 
     rnd_decay: float = struct.field(default=0.99, metadata=within("[0, 1)"))
@@ -77,13 +77,13 @@ class R3L(Method):
     def learn(
         self, key: jax.Array, env: Env, agent: Any, batch: Batch, phase: jax.Array, method_state: RND
     ) -> tuple[Any, RND, dict[str, jax.Array]]:
-        """Return the controller after the learner's update, and in perturbation phases RND after one on the same states."""
+        """Return the controller after the learner's update; perturbation phases also update RND on the same states."""
         agent, _, diagnostics = super().learn(key, env, agent, batch, phase, method_state)
         updated = self.distil(method_state, batch.obs[:, : env.state_size])
         return agent, tree_where(phase == RETURN, updated, method_state), diagnostics
 
     def distil(self, rnd: RND, states: jax.Array) -> RND:
-        """Return `rnd` after an Adam step of its predictor on `states [B, s]`, and a step of its running scale."""
+        """Return `rnd` after an Adam step of its predictor on `states [B, s]` and an update of its running scale."""
 
         def loss(predictor):
             errors = rnd.error(predictor, states, self.learner.precision)

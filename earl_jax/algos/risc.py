@@ -1,4 +1,4 @@
-"""RISC: forward and backward phases of one agent, which leaves a phase early where it is confident of success."""
+"""RISC: forward and backward phases of one agent, which leaves a phase early when it is confident of success."""
 
 from typing import Any, ClassVar
 
@@ -31,29 +31,29 @@ class RISC(FBRL):
     `timeout_bootstrap=False` (the value in the released configurations), P stops at time-outs too. The switch is
     decided with the agent after the step's update instead of before it. Networks, temperature's loss and the clipping
     of log-std to [-20, 2] (release: [-20, 10]) are this package's `SAC`. As in the released code, `switch_share`
-    multiplies the probability at every step; the text instead exempts whole phases. A dense task never switches,
-    because its critics hold returns.
+    multiplies the probability at every step; the text instead exempts whole phases. On dense tasks no phase ends early,
+    because the critics estimate returns.
     """
 
     learner: Learner = SAC(timeout_bootstrap=True, random_steps=10_000)
     controllers: int = struct.field(pytree_node=False, default=1, metadata=within("[1, 2]"))
-    """1: one agent with both demonstrations, as released; 2: one for each direction."""
+    """1: one agent with the demonstrations of both directions, as released; 2: one agent for each direction."""
     switching: bool = struct.field(pytree_node=False, default=True)
-    """Whether phases end early; False is the paper's ablation, which has no success critics."""
+    """Whether phases can end early; False is the paper's ablation, which has no success critics."""
     conservative_factor: float = struct.field(default=0.9, metadata=within("[0, 1]", switching=False))
-    """k (released; Minitaur: 0.95)."""
+    """k in `1 - k^c`, the factor on the probability at step c of a phase (released; Minitaur: 0.95)."""
     earliest_switch: float = struct.field(default=0.5, metadata=within("[0, 1]", switching=False))
-    """Share of H_E before which no phase is left (released: tabletop and peg 0.5, door 0.75, Minitaur 0.25)."""
+    """Share of H_E before which no phase ends early (released: tabletop and peg 0.5, door 0.75, Minitaur 0.25)."""
     switch_share: float = struct.field(default=1.0, metadata=within("[0, 1]", switching=False))
-    """Factor on the probability (released: tabletop and door 1, peg 0.5, Minitaur 0.25)."""
+    """Factor on the probability of an early end (released: tabletop and door 1, peg 0.5, Minitaur 0.25)."""
     value_samples: int = struct.field(pytree_node=False, default=5, metadata=within("[1, 1024]", switching=False))
-    """Number of actions over which p is averaged (released)."""
+    """Number of sampled actions over which p is averaged (released)."""
 
     name: ClassVar[str] = "risc"
 
     def __post_init__(self):
         if self.switching and self.fixed_phases:
-            raise InputError("fixed_phases is for phases that no switch ends early; add switching=false")
+            raise InputError("fixed_phases excludes switches, which end phases early; add switching=false")
 
     @property
     def entropy_free_pairs(self) -> int:

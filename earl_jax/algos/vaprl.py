@@ -1,4 +1,4 @@
-"""VaPRL: one goal-conditioned agent that practises from states whose value predicts success."""
+"""VaPRL: one goal-conditioned agent that practises from states where its value predicts success."""
 
 from typing import Any, ClassVar
 
@@ -14,7 +14,7 @@ from earl_jax.options.values import COUNT, within
 
 
 class Curriculum(struct.PyTreeNode):
-    """The agent's values [G, C] of starting at each of C demonstrated states, for each of G task goals."""
+    """The agent's values [G, C] of starts at each of C demonstrated states, for each of G task goals."""
 
     values: jax.Array
 
@@ -22,19 +22,18 @@ class Curriculum(struct.PyTreeNode):
 class VaPRL(Method):
     """Alternate the task and subgoals from demonstrations.
 
-    Alternate task episodes with episodes to a subgoal: the demonstrated state nearest rho with a value >= epsilon.
+    Alternate task episodes with episodes to a subgoal: the demonstrated state nearest rho whose value is >= epsilon.
 
     Source: Sharma et al. 2021 (VaPRL), equation 4, with relabelling as in the released `reset_free_learning`. There are
     four deliberate differences. Values come from a pair of critics without entropy bonus, in units of one reward, so
-    that epsilon is a discounted success probability (the release has a flag for it). The constraint is that of the
-    paper; the release minimises the distance less the value times a multiplier that it learns. The table of values is
-    refreshed every 200 steps instead of at every phase. Goals are relabelled when sampled, in all episodes and with any
-    goal of the table; the release, if asked to, stores copies of failed episodes with goals from a list of ten.
+    epsilon is a discounted success probability (the release has a flag for it). The constraint is the paper's; the
+    release minimises the distance minus the value times a learnt multiplier. The table of values is refreshed every 200
+    steps instead of in every phase. Goals are relabelled when transitions are sampled, in all episodes and with any
+    goal of the table; the release optionally stores copies of failed episodes with goals from a list of ten.
     """
 
     epsilon: float = struct.field(default=0.1, metadata=within("[-1000000, 1000000]"))
-    """Least value of a subgoal, a discounted success probability; not given in the papers, 0.01 to 0.3 are
-    reasonable."""
+    """Smallest value of a subgoal, a discounted success probability; not in the papers, 0.01 to 0.3 is reasonable."""
     relabel_share: float = struct.field(default=0.8, metadata=within("[0, 1]"))
     """Share of sampled transitions that are relabelled: N of N + 1 with N = 4 (VaPRL paper)."""
     value_samples: int = struct.field(pytree_node=False, default=4, metadata=within("[1, 1024]"))
@@ -43,11 +42,11 @@ class VaPRL(Method):
     refresh_every: int = struct.field(pytree_node=False, default=200, metadata=within(COUNT))
     """Steps between refreshes of the value table."""
     nearest_fallback: bool = struct.field(pytree_node=False, default=True)
-    """Whether the subgoal is the demonstrated state nearest the initial ones where no value reaches `epsilon`, as in the
-    release, whose search begins there: its weight of the values starts at 0. False: the one with the highest value."""
+    """Whether the subgoal is the demonstrated state nearest the initial states if no value reaches `epsilon`. The
+    release, whose weight on values starts at 0, also begins there. False: the state of highest value."""
     unmet_goals: bool = struct.field(pytree_node=False, default=True)
-    """Whether a transition is relabelled only with a goal that the state before its step does not meet. The release's
-    relabelled copies of an episode end at the first state that meets their goal."""
+    """Whether a transition is relabelled only with a goal that the state before its step does not meet. In the release,
+    a relabelled copy of an episode ends at the first state that meets its goal."""
 
     name: ClassVar[str] = "vaprl"
     needs_demos: ClassVar[bool] = True
@@ -55,7 +54,7 @@ class VaPRL(Method):
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """An own transition is stored 1 + 4 times, so a relabelled copy of a demonstration has a fifth of its weight."""
+        """The phases. A relabelled copy of a demonstration counts a fifth of an own transition, stored 1 + 4 times."""
         forward, back = (PhaseDemos(direction, copies_per_step=0.2) for direction in ("forward", "backward"))
         return Phase((forward,)), Phase((back,))
 
@@ -67,17 +66,16 @@ class VaPRL(Method):
     ) -> GoalIndices:
         """Return the goals of a new phase.
 
-        A return phase draws the next task goal and pursues its subgoal. The following task phase pursues that task
-        goal.
+        A return phase draws the next task goal and pursues its subgoal. The next task phase pursues that task goal.
         """
         queued = jnp.where(phase == RETURN, goals.draw_task(key), current.task)
         subgoal = goals.tasks + goals.initials + self.choose(method_state.values[queued], goals)
         return GoalIndices(goal=jnp.where(phase == RETURN, subgoal, queued), task=queued)
 
     def choose(self, values: jax.Array, goals: Goals) -> jax.Array:
-        """Return the candidate nearest the mean initial state among `values [C]` >= epsilon.
+        """Return the index of the candidate nearest the mean initial state among those with `values [C]` >= epsilon.
 
-        If there is none, it is the nearest of all, or without `nearest_fallback` the one with the highest value.
+        If there are none, it is the nearest candidate or, without `nearest_fallback`, the one with the highest value.
         """
         start = goals.table[goals.tasks : goals.tasks + goals.initials].mean(axis=0)
         distance = jnp.linalg.norm(goals.candidates - start, axis=-1)
@@ -94,7 +92,7 @@ class VaPRL(Method):
         batch: TransitionBatch | None,
         method_state: Curriculum,
     ) -> Curriculum:
-        """Return the values, in units of one reward, of each task goal from each candidate: means of `value_samples` actions."""
+        """Return the value of each candidate for each task goal in units of one reward: means of `value_samples`."""
         tasks = goals.table[: goals.tasks, None]
         pairs = jnp.concatenate(jnp.broadcast_arrays(goals.candidates, tasks), axis=-1)
         agent, obs = jax.tree.map(lambda leaf: leaf[0], agent), pairs.reshape(-1, pairs.shape[-1])
@@ -110,8 +108,8 @@ class VaPRL(Method):
     ) -> TransitionBatch:
         """Return `batch` with another goal for `relabel_share` of its transitions.
 
-        A demonstrated transition gets a later state of its demonstration, another one any goal of the table. A
-        transition without a successor keeps its goal, and with `unmet_goals` one whose state already meets the new goal.
+        A demonstrated transition gets a later state of its demonstration, any other transition a goal of the table. A
+        transition keeps its goal if it has no successor or, with `unmet_goals`, if its state meets the new goal.
         """
         share_key, goal_key = jax.random.split(key)
         draw = jax.random.uniform(goal_key, batch.reward.shape)

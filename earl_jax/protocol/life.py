@@ -1,8 +1,8 @@
 """A life under the protocol for a training loop of your own: pure functions of one lane, for `scan`, `jit` and `vmap`.
 
-`init` starts a life, `advance` makes one step of it, and `evaluate` measures both of the paper's scores. The rules are
-those of the training loop (`advance_rules`, `count_step`, `reset_where`). The random draws are their own:
-the key of the state draws interventions, goals and resets, so a run of `earl_jax.train` with the same seed has others.
+`init` starts a life, `advance` makes one step, and `evaluate` measures both of the paper's scores. The rules are the
+same as in the training loop (`advance_rules`, `count_step`, `reset_where`), but the random draws differ: the key of the
+state draws interventions, goals and resets, so a run of `earl_jax.train` with the same seed is a different life.
 """
 
 from collections.abc import Callable
@@ -24,16 +24,16 @@ from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_r
 ATTEMPT_STEPS = 1000
 """Steps after which naive RL gives up a goal that it has not reached (Sharma et al. 2022, section 6.1)."""
 DIRECTIONS = 2
-"""Task goals and goals that the agent sets, whose attempts are counted separately."""
+"""Attempts at task goals and at goals that the agent sets are counted separately."""
 
 
 class ProtocolState(struct.PyTreeNode):
     """The life of one lane, between two steps.
 
-    `key` of all future draws; `env_state`; `rules` and int32 `attempt_steps []`, data that can differ between lanes;
-    int32 `step []`: steps so far; int32 `attempt_age []`: steps since the attempt at the current goal began; `task_goal
-    [g]`: the goal of C(A); bool `goal_is_set []`: the agent pursues a goal of its own instead; int32 `evaluated_at []`:
-    the step of the last evaluation; `counters` of the metrics.
+    `key`: draws all future randomness; `env_state`; `rules` and int32 `attempt_steps []`: data that can differ between
+    lanes; int32 `step []`: steps so far; int32 `attempt_age []`: steps since the attempt at the current goal began;
+    `task_goal [g]`: the goal whose reward C(A) counts; bool `goal_is_set []`: the agent pursues a goal of its own
+    instead; int32 `evaluated_at []`: the step of the last evaluation; `counters`: counts for the metrics.
     """
 
     key: jax.Array
@@ -49,22 +49,22 @@ class ProtocolState(struct.PyTreeNode):
 
     @property
     def obs(self) -> jax.Array:
-        """The observation [s + g] to act on."""
+        """The current observation [s + g], on which the agent acts."""
         return self.env_state.obs
 
     @property
     def has_ended(self) -> jax.Array:
-        """Whether the budget for help is spent, bool []: nothing that the agent does has an effect from then on."""
+        """Whether the budget for help is spent, bool []; from then on, actions have no effect."""
         return self.env_state.done > 0
 
 
 class StepResult(NamedTuple):
     """What an agent learns from one step.
 
-    `next_obs [s + g]`: what the step led to, under the goal that it was made under, before a reset or a goal change;
-    after a fault, the observation before the step. `reward []` for that goal, 0 after a fault. `success []`, bool:
-    `next_obs` has reached its goal. `end`: how the step ended, with `end.phase_ended` for the attempt and
-    `end.env_reset` for an intervention. `terminated []`, bool: the life has ended.
+    `next_obs [s + g]`: the observation that the step led to, under the goal that the agent pursued and before a reset
+    or a goal change; after a fault, the observation before the step. `reward []`: the reward for that goal, 0 after a
+    fault. `success []`, bool: `next_obs` has reached its goal. `end`: how the step ended; `end.phase_ended` tells
+    whether the attempt ended, `end.env_reset` whether there was an intervention. `terminated []`: the life has ended.
     """
 
     next_obs: jax.Array
@@ -82,18 +82,18 @@ def init(
     attempt_steps: int = ATTEMPT_STEPS,
     start: Callable[[jax.Array], State] | None = None,
 ) -> ProtocolState:
-    """Return the life of one lane in `env` before its first step, from a typed PRNG key.
+    """Return the life of one lane in `env` before its first step.
 
     Args:
         env: the task, or a `HelpBudget` (`setting.wrap(task)`).
         protocol: the rules (`setting.protocol(env)`).
-        key: of all draws of this life.
+        key: a typed key for all random draws of this life.
         attempt_steps: steps after which an attempt at a goal times out, as in naive RL.
-        start: `start(key) -> State` of the life; s0 ~ rho by default.
+        start: `start(key) -> State` returns the first state of the life; by default s0 ~ rho.
 
     Raises:
-        ValueError: `attempt_steps` is less than 1, `env` or `protocol` is another object, such as a setting, or a function
-            of `env` returns what training refuses (`envs.checks.check_task`).
+        ValueError: `attempt_steps` is less than 1, `env` or `protocol` is another object, such as a setting, or `env`
+            fails the checks that training makes, too (`envs.checks.check_task`).
     """
     require_object("task", env, Env, or_name=False)
     require_object("protocol", protocol, Protocol, or_name=False)
@@ -119,12 +119,13 @@ def init(
 
 @package_types()
 def advance(env: Env, state: ProtocolState, action: jax.Array) -> tuple[ProtocolState, StepResult]:
-    """Return the life after one control step with `action [a]`, and what to learn from the step.
+    """Return the life after one control step with `action [a]`, and the `StepResult` to learn from.
 
-    Interventions reset the environment every H_T steps, with the protocol's chance, and after a fault of the
-    simulation. In the deployment setting another task goal is drawn when an attempt ends: at success (sparse rewards),
-    after `attempt_steps`, and at interventions. In the continuing setting task goals change by schedule only. A goal
-    of the agent's own stays (`set_goal`). C(A) counts the reward for the task goal, whatever goal the agent pursues.
+    Interventions reset the environment every H_T steps, at random with the protocol's probability, and after a fault of
+    the simulation. In the deployment setting a new task goal is drawn when an attempt ends: at success (sparse
+    rewards), after `attempt_steps`, and at interventions. In the continuing setting task goals change only on a
+    schedule. A goal that the agent has set (`set_goal`) stays. C(A) counts the reward for the task goal, whatever goal
+    the agent pursues.
     """
     require_object("state of a life", state, ProtocolState, or_name=False)
     key, chance_key, goal_key, reset_key = jax.random.split(state.key, 4)
@@ -166,8 +167,7 @@ def _result(env: Env, state: ProtocolState, env_state: State, end: StepEnd) -> S
 def set_goal(env: Env, state: ProtocolState, goal: jax.Array | None = None) -> ProtocolState:
     """Return `state` at the start of an attempt at `goal [g]`, which stays until the next `set_goal` or `intervene`.
 
-    Without a goal the environment chooses again: another task goal in the deployment setting, and in the continuing
-    setting the one of its schedule.
+    Without `goal` the environment chooses again: a new task goal (deployment) or the scheduled one (continuing).
 
     Raises:
         ValueError: the goal has another shape, or (outside jit) is not finite.
@@ -194,9 +194,9 @@ def _with_goal(env: Env, state: ProtocolState, goal: jax.Array, is_set: bool) ->
 
 @package_types()
 def intervene(env: Env, state: ProtocolState) -> ProtocolState:
-    """Return the life after an intervention by the caller, which is counted: a start s0 ~ rho and a task goal.
+    """Return the life after an intervention by the caller, which is counted: a start s0 ~ rho with a task goal.
 
-    The goal is another one in the deployment setting, and the one of the schedule in the continuing setting. In a life
+    The task goal is drawn anew in the deployment setting and is the scheduled one in the continuing setting. In a life
     that has ended, only the goal changes.
     """
     key, goal_key, reset_key = jax.random.split(state.key, 3)
@@ -209,12 +209,13 @@ def intervene(env: Env, state: ProtocolState) -> ProtocolState:
 def evaluate(
     env: Env, protocol: Protocol, state: ProtocolState, policy: Callable[[jax.Array], jax.Array]
 ) -> tuple[ProtocolState, dict[str, jax.Array]]:
-    """Return the life with a new window, and both of the paper's evaluations of it, scalars.
+    """Return the life, in which a new evaluation window begins, and scalars of both of the paper's evaluations.
 
     `deployed/success` and `deployed/return` are the means of `protocol.eval_episodes` episodes of `policy(obs) ->
     action` from s0 ~ rho, without help (`metrics.deployed`). `continuing/reward` is C(A) so far, `continuing/recent`
-    that since the last evaluation; `interventions`, `faults` and `reached` count since the first step. These and the
-    columns about attempts are those of `metrics.csv`; attempts at goals that the agent set count as return phases.
+    the same since the last evaluation; `interventions`, `faults` and `reached` count since the first step. These and
+    the metrics of attempts have the names of columns of metrics.csv; attempts at goals that the agent set count as
+    return phases.
     """
     metrics = protocol.deployed(without_help(env), policy, state.key)
     step, window = jnp.maximum(state.step, 1), jnp.maximum(state.step - state.evaluated_at, 1)

@@ -1,4 +1,4 @@
-"""The rules of the ARL formalism: when an environment is reset, when its goal changes, how a step ends and what it counts.
+"""The rules of the ARL formalism: when an environment is reset, when its goal changes, how a step ends and is counted.
 
 Source: Sharma et al. 2022, section 4. docs/formalism.md has the equations.
 """
@@ -23,15 +23,15 @@ from earl_jax.options.schedule import Schedule
 from earl_jax.options.values import COUNT, COUNT_OR_NEVER, EPISODES, check_intervals, within
 
 EVALUATION_KEY = 2
-"""Folded into a lane's key for the evaluation, which does not change the randomness of the life."""
+"""Number folded into a lane's key for an evaluation, so that evaluations do not change the randomness of the life."""
 
 
 class Rules(NamedTuple):
     """The rules of resets and goal changes as arrays, which can differ between the lanes of one program.
 
     `horizon []`, int32: steps between hard interventions, 0 for never. `chance []`, float32: probability of a hard
-    intervention after any step. `goal_change []`, int32: steps between the goals that the environment sets, 0 if every
-    attempt draws its own.
+    intervention after any step. `goal_change []`, int32: steps between goal changes by the environment, 0 if every
+    attempt draws its own goal.
     """
 
     horizon: Any
@@ -46,10 +46,11 @@ class Rules(NamedTuple):
 class Attempt(NamedTuple):
     """The agent's attempt at a goal at the start of a step, an argument of `advance_rules`.
 
-    bool `is_task []`: the goal is a task goal, not that of a return phase; bool `expires []`: it times
-    out after this step unless the goal is reached; bool `ends_on_success []`; bool `reset_at_end []`: its end also resets
-    the environment; bool `invalid_reward []`: the step earned a task reward that is not finite, which is a fault. For the
-    metrics, bool `has_goal []` tells whether it counts, and int32 `age []` the steps before this one.
+    bool `is_task []`: the goal is a task goal, not the goal of a return phase; bool `expires []`: the attempt times out
+    after this step unless the goal is reached; bool `ends_on_success []`; bool `reset_at_end []`: the end of the
+    attempt also resets the environment; bool `invalid_reward []`: the step earned a task reward that is not finite,
+    which is a fault. For metrics: bool `has_goal []`, whether the attempt counts, and int32 `age []`, its earlier
+    steps.
     """
 
     is_task: Any
@@ -64,10 +65,10 @@ class Attempt(NamedTuple):
 class StepEnd(NamedTuple):
     """The end of one step, bool scalars.
 
-    `phase_ended`: the attempt's goal was `reached`, or it hit a `timeout`. `passed`: the state is at the goal of an attempt
-    that success does not end. `fault`: the simulation broke, and the step is discarded. `goal_changes`: the environment
-    sets another goal. `task_restarts`: the next attempt is at the task, after an intervention or a goal change that ended
-    one. `env_reset`: the environment is reset to s0 ~ rho, which nothing does once the life has ended.
+    `phase_ended`: the attempt's goal was `reached`, or it hit a `timeout`. `passed`: the state is at the goal of an
+    attempt that success does not end. `fault`: the simulation broke, and the step is discarded. `goal_changes`: the
+    environment sets another goal. `task_restarts`: the next attempt pursues the task goal, because an intervention or a
+    goal change ended this one. `env_reset`: the environment is reset to s0 ~ rho, but never after the life's end.
     """
 
     fault: jax.Array
@@ -83,9 +84,9 @@ class StepEnd(NamedTuple):
 def advance_rules(
     rules: Rules, env: Env, env_state: State, attempt: Attempt, step: jax.Array, key: jax.Array
 ) -> StepEnd:
-    """Return the end of step number `step`, counted from 1, to `env_state`; the learner and all adapters use this.
+    """Return the end of step number `step`, counted from 1, which led to `env_state`; training and adapters use this.
 
-    `key` draws interventions by chance. A fault resets this lane, as an intervention does.
+    `key` draws interventions by chance. A fault resets the environment, as an intervention does.
     """
     fault = env.fault(env_state)
     require_result(f"{env.name}: what fault returns", fault, (), "bool")
@@ -112,7 +113,7 @@ def advance_rules(
 def reset_where(reset: jax.Array, env: Env, key: jax.Array, env_state: State) -> State:
     """Return the state after a hard intervention if `reset`, bool [], is true, else `env_state`.
 
-    This is a select instead of a branch, because under vmap a branch would compute both sides as well.
+    This is a select instead of a branch, because a branch under vmap would compute both sides anyway.
     """
     fresh = env.intervene(key, env_state)
     require_like(f"{env.name}: intervene must return the state", fresh, env_state)
@@ -124,7 +125,7 @@ def count_step(
 ) -> Counters:
     """Return the counters after step number `step`, counted from 1, which led to `env_state` and ended as `end`.
 
-    `earned []` is its reward for the task goal, which does not count after a fault. No phase ends once the life is over.
+    `earned []`, the reward for the task goal, does not count after a fault. No phase ends once the life is over.
     """
     ended = end.phase_ended & attempt.has_goal & (env_state.done == 0)
     at_goal = (end.reached | end.passed) & attempt.has_goal
@@ -157,11 +158,11 @@ class Protocol:
     intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1]"))
     """epsilon: probability of a hard intervention after a step, p~ = (1 - epsilon) p + epsilon rho."""
     goal_change: int = dataclasses.field(default=0, metadata=within(COUNT_OR_NEVER))
-    """Steps between goal changes in the continuing setting; 0 if every new attempt draws its goal from p_g."""
+    """Steps between goal changes in the continuing setting; 0 if every attempt draws its goal from p_g."""
     alive_steps: int = dataclasses.field(default=2_000, metadata=within(COUNT))
-    """Steps within which a lane that is alive reaches the goals of its phases."""
+    """Steps within which a lane must reach the goals of its phases to count as alive (`continuing/alive`)."""
     eval_pairs: str = EVAL_PAIRS[0]
-    """How evaluations draw pairs of start and task goal: each at `random`, or `balanced`, every pair equally often."""
+    """How evaluations draw pairs of start and task goal: each pair at `random`, or all equally often (`balanced`)."""
 
     def __post_init__(self):
         require_known("eval_pairs", self.eval_pairs, EVAL_PAIRS)
@@ -169,7 +170,7 @@ class Protocol:
 
     @property
     def rules(self) -> Rules:
-        """The part of this protocol that a lane carries as arrays, scalars."""
+        """The part of this protocol that a lane carries as scalar arrays."""
         return Rules(
             horizon=np.int32(self.train_horizon),
             chance=np.float32(self.intervention_chance),
@@ -182,6 +183,6 @@ class Protocol:
         return dataclasses.replace(self, train_horizon=0, intervention_chance=0.0, goal_change=0)
 
     def deployed(self, task: Env, policy: Callable[[jax.Array], jax.Array], key: jax.Array) -> dict[str, jax.Array]:
-        """Return the deployed evaluation of `policy(obs) -> action` in `task`, from the `key []` of a lane."""
+        """Return the metrics of a deployed evaluation of `policy(obs) -> action` in `task`, from a lane's `key []`."""
         key, wide = jax.random.fold_in(key, EVALUATION_KEY), task.starts.wide
         return deployed(task, policy, key, self.eval_horizon, self.eval_episodes, wide=wide, pairs=self.eval_pairs)

@@ -19,18 +19,18 @@ HELP_FIELDS = ("budget", "help_cost", "enforced_cost", "help_above", "absorbed_r
 
 
 def _as_in_help_budget(name: str, **changes: Any) -> Any:
-    """Return a field with the default and the interval that `HelpBudget` has, or with `changes`."""
+    """Return a field with the default and the interval of the `HelpBudget` field `name`, updated by `changes`."""
     [field] = [field for field in dataclasses.fields(HelpBudget) if field.name == name]
     return dataclasses.field(**{"default": field.default, "metadata": field.metadata, **changes})
 
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """The criterion of evaluation and the interventions; a field that is None takes the task's own value."""
+    """The interventions of a lifetime, an optional budget for help, and the criterion of evaluation."""
 
     intervention_chance: float = dataclasses.field(default=0.0, metadata=within("[0, 1]"))
-    """epsilon: probability of a hard intervention after a step, in addition to the one every H_T steps. With 0 and
-    `train_horizon=0` of the task there is none: full autonomy. Numbers of float32 are drawn, which are multiples of 1.2e-7."""
+    """epsilon: probability of a hard intervention after a step, in addition to those every H_T steps. With 0, and with
+    `train_horizon=0` of the task, there are none: full autonomy. The draws are float32 multiples of 1.2e-7."""
     budget: float | None = _as_in_help_budget("budget", default=None)
     """h_max: the largest total cost of interventions. The agent observes the remaining budget and can request help
     (`HelpBudget`). None: no help."""
@@ -41,12 +41,12 @@ class Setting:
     help_above: float = _as_in_help_budget("help_above")
     """Threshold on the last action component above which the agent requests help, with a budget."""
     absorbed_reward: float = _as_in_help_budget("absorbed_reward")
-    """Reward of every step after the budget is spent."""
+    """Reward of every step after the budget for help is spent."""
     alive_steps: int = dataclasses.field(default=Protocol.alive_steps, metadata=within(COUNT))
-    """Steps within which a lane that is alive reaches the goals of its phases, for the metric `continuing/alive`."""
+    """Steps within which a lane must reach the goals of its phases to count as alive (metric `continuing/alive`)."""
     eval_pairs: str = Protocol.eval_pairs
-    """How deployed evaluations draw pairs of start and task goal: each at `random` (released), or `balanced`, every pair
-    equally often."""
+    """How deployed evaluations draw pairs of start and task goal: each pair at `random` (released), or all equally
+    often (`balanced`)."""
 
     name: ClassVar[str]
 
@@ -54,7 +54,7 @@ class Setting:
         check_intervals("setting", self)
 
     def wrap(self, task: Env) -> Env:
-        """Return `task`, wrapped in a `HelpBudget` if this setting has a budget."""
+        """Return `task`, wrapped in a `HelpBudget` if this setting has a budget, else as it is."""
         if self.budget is None:
             return task
         return HelpBudget(task=task, **{name: getattr(self, name) for name in HELP_FIELDS})
@@ -65,7 +65,7 @@ class Setting:
         """Return the protocol of a lifetime in `env`.
 
         Raises:
-            ValueError: the setting has a budget, and `env` was not wrapped in its `HelpBudget`.
+            ValueError: the setting has a budget, but `env` is not wrapped in the `HelpBudget` (see `wrap`).
         """
         require_object("task", env, Env, or_name=False)
         if self.budget is not None and not isinstance(env, HelpBudget):
@@ -81,13 +81,13 @@ class Setting:
         )
 
     def _intervals(self, env: Env) -> dict[str, int]:
-        """Return H_T and the steps between goal changes in `env`, where they are not those of a `Protocol`."""
+        """Return H_T and the steps between goal changes in `env`, as far as they are not the defaults of `Protocol`."""
         return {"train_horizon": env.train_horizon}
 
 
 @dataclasses.dataclass(frozen=True)
 class Deployment(Setting):
-    """Deployment: the final policy is evaluated. Attempts draw their goals; hard interventions follow every H_T steps.
+    """Deployment: the final policy is evaluated. Each attempt draws a goal; hard interventions occur every H_T steps.
 
     Evaluated by D(A), the area under the deployed curve, and by J_D of the final policy (section 4.1.1 of the paper).
     """
@@ -100,13 +100,13 @@ class Continuing(Setting):
     """Continuing: the reward of the lifetime is evaluated. The environment sets its goals independently of the agent.
 
     Evaluated by C(A), the reward averaged over the lifetime (section 4.1.2). Goals change as in the released code, and
-    H_T is that of its lifelong configuration. A goal change ends an attempt at the task as a time-out does; a return
-    phase continues. The paper's Table 2 was made from deployment runs: its reward rates require that each success draws
-    a new goal. So `earl-jax reproduce table2` reads C(A) from deployment runs.
+    H_T is that of its lifelong configuration. A goal change ends an attempt at the task like a time-out; a return phase
+    continues. The paper's Table 2 was made from deployment runs: its reward rates require that each success
+    draws a new goal. `earl-jax reproduce table2` therefore reads C(A) from deployment runs.
     """
 
     goal_change: int | None = dataclasses.field(default=None, metadata=within(COUNT))
-    """Steps between goal changes; None for the task's own."""
+    """Steps between goal changes; None for the task's own value."""
     train_horizon: int | None = dataclasses.field(default=None, metadata=within(COUNT_OR_NEVER))
     """H_T, 0 for never; None for the lifelong H_T, or for the task's `train_horizon` if that is not its default."""
 
@@ -127,7 +127,7 @@ SETTINGS: dict[str, type[Setting]] = {setting.name: setting for setting in (Depl
 
 
 def setting_of(name: str | Setting = Deployment.name, **options: Any) -> Setting:
-    """Return the setting `name` with its `options`, or a setting as it is.
+    """Return the setting `name` with its `options`; a `Setting` object is returned as it is.
 
     Raises:
         ValueError: the name or an option is unknown, or an option has a wrong type; the message lists the choices.
@@ -141,9 +141,9 @@ def setting_of(name: str | Setting = Deployment.name, **options: Any) -> Setting
 
 
 def with_explicit_horizon(setting: Setting, task: Env, options: Mapping[str, Any]) -> Setting:
-    """Return `setting` with the `train_horizon` of the task's `options`, if only the setting can hold it.
+    """Return `setting` with the `train_horizon` of the task's `options` if that equals the task's default.
 
-    A value that equals the task's default cannot be told from the default in `task`.
+    `task` itself cannot show that such a value was given. `Continuing` would replace a default by the lifelong H_T.
     """
     asked = options.get("train_horizon")
     if not isinstance(setting, Continuing) or setting.train_horizon is not None or asked != type(task).train_horizon:
@@ -152,10 +152,10 @@ def with_explicit_horizon(setting: Setting, task: Env, options: Mapping[str, Any
 
 
 def split_setting(env: Env, setting: Setting) -> tuple[Env, Setting]:
-    """Return the plain task of `env`, and `setting` with the options of its `HelpBudget`, if it has one.
+    """Return the plain task of `env`, and `setting` with the options of the `HelpBudget` if `env` is one.
 
     Raises:
-        ValueError: the setting has a budget with other options.
+        ValueError: `env` is a `HelpBudget`, and the setting has a budget with other options.
     """
     if not isinstance(env, HelpBudget):
         return env, setting

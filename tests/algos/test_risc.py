@@ -80,7 +80,7 @@ def test_risc_never_switches_early_or_in_dense_tasks_or_without_switching(env, s
         ends = [bool(method.ends_phase(KEYS[0], task, None, OBS, moment(jnp.asarray(age)), ())) for age in (150, 199)]
         assert ends == [False, True]
     assert make_algo("risc", switching=False, fixed_phases=True).entropy_free_pairs == 0
-    with pytest.raises(ValueError, match="fixed_phases is for phases that no switch ends early; add switching=false"):
+    with pytest.raises(ValueError, match="fixed_phases excludes switches, which end phases early; add switching=false"):
         make_algo("risc", fixed_phases=True)
 
 

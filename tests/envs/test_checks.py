@@ -49,7 +49,7 @@ def test_odd_goals_and_functions_are_refused_by_training_adapters_and_a_loop_of_
         ("intervene", lambda env, key, state: None, r"intervene must return the state with .*, but .data was float32\[1\] and"),
         ("state_size", 2, r"a state vector has shape \(1,\), not \(2,\)"),
         ("transition", lambda env, state, action: (1, 2), r"a step must return \(data, vector, info\), not a tuple of 2"),
-        ("transition", lambda env, state, action: (state.data, 1, {"count": 1}), "step sets count in info, which reset must set too; reset sets goal"),
+        ("transition", lambda env, state, action: (state.data, 1, {"count": 1}), "sets count in info, .* too; reset sets goal"),
         ("reset", lambda env, key: Chain.reset(env, key).replace(data=jnp.zeros(1, jnp.int32)), r".data was int32\[1\]"),
     ],
 )  # fmt: skip

@@ -1,7 +1,6 @@
 """Forward and backward passes of the learner's networks in bfloat16, with float32 parameters, gradients and sums.
 
-Automatic differentiation would write float32 copies of activations and cotangents. The passes here keep both in
-bfloat16.
+Automatic differentiation would write float32 copies of activations and cotangents. These passes keep both in bfloat16.
 """
 
 import functools
@@ -24,7 +23,7 @@ def apply(network: Any, layers: Any, x: jax.Array) -> jax.Array:
 
 
 def _dot(a: jax.Array, b: jax.Array, over: tuple[int, int] = (1, 0), dtype: Any = jnp.bfloat16) -> jax.Array:
-    """Return the product of bfloat16 matrices, contracted over the axes `over`, in `dtype`; sums are float32."""
+    """Return the product of two bfloat16 matrices, contracted over the axes `over`, in `dtype`; sums are float32."""
     if jax.default_backend() == "cpu":  # CPUs multiply bfloat16 into bfloat16 only
         a, b = a.astype(jnp.float32), b.astype(jnp.float32)
     out = jax.lax.dot_general(a, b, (((over[0],), (over[1],)), ((), ())), preferred_element_type=dtype)

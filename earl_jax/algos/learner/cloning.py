@@ -1,6 +1,6 @@
 """Behaviour cloning of an actor: a regression of the greedy action on demonstrated actions.
 
-`clone` takes it before any interaction, and `cloning_term` is the same error as a term of the actor's loss.
+`clone` trains an actor before any interaction; `cloning_term` is the same error as a term of the actor's loss.
 """
 
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from earl_jax.algos.learner.networks import ADAM, descend
 
 
 class DemoSteps(NamedTuple):
-    """Demonstrated steps: `obs [T, o]` with the goal, `action [T, a]`, and the `controller [T]` that takes them."""
+    """Demonstrated steps: `obs [T, o]` with the goal, `action [T, a]`, and the `controller [T]` that clones them."""
 
     obs: np.ndarray | jax.Array
     action: np.ndarray | jax.Array
@@ -27,10 +27,10 @@ class DemoSteps(NamedTuple):
 
 
 def clone(key: jax.Array, learner: Learner, actors: Any, demos: DemoSteps) -> tuple[Any, jax.Array]:
-    """Return cloned `actors`, leaves [C, ...], and their losses [C, pretrain_steps].
+    """Return the cloned `actors`, leaves [C, ...], and their losses [C, pretrain_steps].
 
-    Every actor takes `pretrain_steps` Adam steps of size `pretrain_rate` on `mean (pi(s, g) - a)^2`, each on `batch_size`
-    steps of its own demonstrations, drawn uniformly with replacement.
+    Every actor makes `pretrain_steps` Adam steps of size `pretrain_rate` on `mean (pi(s, g) - a)^2`, each on
+    `batch_size` steps that are drawn uniformly with replacement from its own demonstrations.
     """
     count = len(jax.tree.leaves(actors)[0])
     parts = [
@@ -56,12 +56,12 @@ def _clone_actor(key: jax.Array, learner: Learner, actor: Any, demos: DemoSteps)
 
 
 def cloning_loss(actor: Any, learner: Learner, obs: jax.Array, action: jax.Array) -> jax.Array:
-    """Return the mean squared error [] of the greedy action at `obs [B, o]` to `action [B, a]`."""
+    """Return the mean squared error [] between the greedy action at `obs [B, o]` and `action [B, a]`."""
     return jnp.square(learner.greedy(actor, obs) - action).mean()
 
 
 def cloning_weight(learner: Learner, step: jax.Array) -> jax.Array:
-    """Return the weight [] of the cloning term at `step`: linear from `cloning` to `cloning_final`, if that is given."""
+    """Return the weight [] of the cloning term at `step`, linear from `cloning` to `cloning_final` if that is given."""
     progress = jnp.clip((step - learner.cloning_start) / learner.cloning_steps, 0.0, 1.0)
     first = 0.0 if learner.cloning is None else learner.cloning
     final = first if learner.cloning_final is None else learner.cloning_final
@@ -72,8 +72,8 @@ def cloning_term(learner: Learner, greedy: jax.Array, batch: Batch) -> jax.Array
     """Return `w lambda mean (pi(s, g) - a)^2` [] over the demonstrated rows of `batch`, a term of the actor's loss.
 
     `greedy [B, a]` are the greedy actions pi(s, g); w is `cloning_weight`, lambda `Learner.reward_scale`. Without
-    demonstrated rows it is 0. Source: Rajeswaran et al. 2018 (DAPG) and MEDAL++ add such a term, on the log-likelihood;
-    here it is the squared error of `clone`, which leaves the entropy to SAC.
+    demonstrated rows the term is 0. Source: Rajeswaran et al. 2018 (DAPG) and MEDAL++ add a log-likelihood term. This
+    term is the squared error of `clone` instead, which leaves the entropy to SAC.
     """
     assert batch.demonstrated is not None
     assert batch.step is not None

@@ -1,7 +1,7 @@
 """The learner's networks: a multilayer perceptron, a tanh-squashed normal with the paper's parameters, a step of Adam.
 
-`apply` evaluates a network at a chosen precision; parameters are always float32. The parameters tell the network's
-layers, so nobody has to remember its sizes.
+`apply` evaluates a network at a chosen precision; parameters are always float32. The layers are derived from the
+parameters, so callers need not pass their sizes.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ def descend(params: Any, grads: Any, moments: Any, rate: float) -> tuple[Any, An
 
 
 def follow(slow: Any, fast: Any, rate: Any) -> Any:
-    """Return the parameters `slow`, moved towards `fast` by the share `rate` of the difference."""
+    """Return the parameters `slow` after a move towards `fast` by the share `rate` of the difference."""
     return jax.tree.map(lambda old, new: old + rate * (new - old), slow, fast)
 
 
@@ -56,8 +56,8 @@ class MLP(linen.Module):
 def apply(params: Any, x: jax.Array, precision: str = "tf32") -> jax.Array:
     """Return the float32 outputs [..., O] of the `MLP` with `params` at `x [..., K]`, differentiable in both.
 
-    Matrix products by `precision`: "float32" is float32 on every device; "tf32" is XLA's default (TF32 on NVIDIA GPUs,
-    float32 on CPUs); "bf16" has bfloat16 operands and activations and float32 sums.
+    `precision` chooses the matrix products: "float32" on every device; "tf32", XLA's default (TF32 on NVIDIA GPUs,
+    float32 on CPUs); or "bf16", with bfloat16 operands and activations and float32 sums.
     """
     layers = params["params"]
     count = sum(name.startswith("hidden") for name in layers)
@@ -106,7 +106,7 @@ def _moments(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def fix_log_std(params: Any, value: float) -> Any:
-    """Return the parameters of a policy, leaves [..., ...], with every log standard deviation at `value`."""
+    """Return the parameters of a policy, with any leading axes, with every log standard deviation set to `value`."""
     layers = dict(params["params"])
     last = f"hidden_{len(layers) - 1}"
     size = layers[last]["bias"].shape[-1] // 2

@@ -4,8 +4,8 @@ Rows are steps: row t of `state` is s_t, row t of `action` is a_t, and s_{t+1} i
 static table, so relabelling needs no copies. A list for each lane holds the rows that its controllers can sample: the
 task controller's rows fill it from the left, the other controller's rows from the right.
 
-In a run that is longer than `Learner.replay_capacity`, the rows after the demonstrations and both lists are rings, in which
-the oldest transition makes room for a new one. Demonstrations keep their rows.
+In a run that is longer than `Learner.replay_capacity`, the rows after the demonstrations and both lists are rings, in
+which a new transition replaces the oldest one. Demonstrations keep their rows.
 
 Every function works on the whole batch of lanes. `jax.vmap` would turn a write into a scatter over the buffer and a
 read into a transpose of it.
@@ -19,14 +19,14 @@ from flax import struct
 
 GOAL_BITS = 16
 FLAG_BITS = [1 << (GOAL_BITS + bit) for bit in range(5)]
-"""The bits of the flags in a packed word, in their order, above those of the goal."""
+"""The bits of the flags in a packed word, in the order of the flags, above the bits of the goal."""
 
 
 class TransitionFlags(NamedTuple):
     """The `goal` index of a transition and its flags.
 
-    A transition has no successor if a reset overwrote the next state, is absorbed if the lifetime has ended, and has
-    `passed` its goal if the next state meets it in a phase that goes on.
+    A transition has `no_successor` if a reset overwrote the next state. It is `absorbed` if the lifetime has ended. It
+    has `passed` its goal if the next state meets the goal but the phase goes on.
     """
 
     goal: jax.Array
@@ -49,9 +49,9 @@ class Transition(NamedTuple):
 class TransitionBatch(NamedTuple):
     """Sampled transitions: `row [N, B]`, `state, next_state [N, B, s]`, `action [N, B, a]`, `reward`, `flags`.
 
-    `demonstrated [N, B]`, bool, marks demonstrations. `later [N, B, s]` are states of the same lane some steps later, for
-    methods with `later_steps`. `goal [N, B, g]` replaces the goals of `flags`, which are indices, where a method learns from
-    others.
+    `demonstrated [N, B]`, bool, marks demonstrations. `later [N, B, s]` are states of the same lane some steps later,
+    for methods with `later_steps`. A method that learns from other goals than the table's puts them into `goal [N, B,
+    g]`, which replaces the indices `flags.goal`.
     """
 
     row: jax.Array
@@ -66,7 +66,7 @@ class TransitionBatch(NamedTuple):
 
 
 CONTROLLERS = 2
-"""The number of controllers, each of which has a list of its own in a replay."""
+"""The number of controllers that have a list of their own in a replay."""
 
 
 class Replay(struct.PyTreeNode):
@@ -74,9 +74,9 @@ class Replay(struct.PyTreeNode):
 
     `state [C + 1, N, s]`, `action [C, N, a]`, packed `flags [C, N]` and `reward [C or 0, N]`, which has no rows if the
     reward is a success bit. `index [C, N]` lists row numbers: `counts [N, 2]` of them for each controller, of which the
-    first `demos [2]` are demonstrations. `row []` is the next free row, `first_row []` the one after the demonstrations.
-    If transitions are evicted, `oldest [N, 2]` is the place of each controller's oldest own row in its ring, and `index`
-    has another length; else `oldest` is [N, 0].
+    first `demos [2]` are demonstrations. `row []` is the next free row, `first_row []` the first row after the
+    demonstrations. If transitions are evicted, `oldest [N, 2]` is the place of each controller's oldest own row in its
+    ring, and `index` has another length; otherwise `oldest` is [N, 0].
     """
 
     state: jax.Array
@@ -97,11 +97,11 @@ class Replay(struct.PyTreeNode):
 
     @property
     def evicts(self) -> bool:
-        """Whether the oldest transition makes room for a new one."""
+        """Whether a new transition replaces the oldest one."""
         return self.oldest.shape[1] > 0
 
     def successor(self, row: jax.Array) -> jax.Array:
-        """Return the row [...] of the state that follows that of `row [...]`."""
+        """Return the row [...] of the state that follows the state in `row [...]`."""
         return jnp.where(row + 1 == self.capacity, self.first_row, row + 1) if self.evicts else row + 1
 
     def slot(self, number: jax.Array, lane: jax.Array, controller: jax.Array) -> jax.Array:
@@ -116,7 +116,7 @@ class Replay(struct.PyTreeNode):
 def create(
     capacity: int, lanes: int, state_size: int, action_size: int, sparse: bool, slots: int | None = None
 ) -> Replay:
-    """Return an empty buffer; goals are packed into 16 bits, so a goal table can have 65,536 entries.
+    """Return an empty buffer; goals are packed into 16 bits, so a goal table can have up to 65,536 entries.
 
     With `slots`, the length of both lists, transitions are evicted.
     """
@@ -141,7 +141,7 @@ def pack(flags: TransitionFlags) -> jax.Array:
 
 
 def unpack(words: jax.Array) -> TransitionFlags:
-    """Return the flags that are packed in int32 `words`."""
+    """Return the flags that are packed into the int32 `words`."""
     return TransitionFlags(words & (FLAG_BITS[0] - 1), *[(words & bit) != 0 for bit in FLAG_BITS])
 
 
@@ -149,7 +149,7 @@ def unpack(words: jax.Array) -> TransitionFlags:
 def write(replay: Replay, transition: Transition, valid: jax.Array, controller: jax.Array) -> Replay:
     """Return the replay with one more transition for each lane, listed for `controller [N]` where `valid [N]`.
 
-    After a reset, `transition.next_state` is the new start, and the successor is not stored.
+    After a reset, `transition.next_state` is the new start; the successor before the reset is not stored.
     """
     row, lanes = replay.row, jnp.arange(valid.shape[0])
     following = replay.successor(row)
@@ -172,7 +172,7 @@ def write(replay: Replay, transition: Transition, valid: jax.Array, controller: 
 
 
 def _without_row(replay: Replay, row: jax.Array) -> Replay:
-    """Return the replay without the transition in `row []`, the oldest one, whose state is about to be overwritten."""
+    """Return the replay without the oldest transition, which is in `row []`; its state is about to be overwritten."""
     lane, controller = jnp.arange(len(replay.counts))[:, None], jnp.arange(CONTROLLERS)[None]
     own = replay.counts - replay.demos
     oldest = replay.index[replay.slot(jnp.broadcast_to(replay.demos, own.shape), lane, controller), lane]
@@ -193,9 +193,9 @@ def sample(
 ) -> TransitionBatch:
     """Return `size` transitions for each lane, drawn uniformly with replacement from those listed for `controller [N]`.
 
-    A share `demo_share [N]` is drawn from the demonstrations alone. Where `own []` is true, the rest is drawn from the
-    other transitions as long as there are any. At the first step of a controller without listed transitions, it samples
-    those of the other one. A lane's draw depends only on its own key and counts, not on the number of lanes. With
+    A share `demo_share [N]` is drawn from the demonstrations alone. Where `own []` is true, the rest is drawn from own
+    transitions alone, if there are any. At its first step, a controller without listed transitions samples those of the
+    other controller. A lane's draw depends only on its own key and counts, not on the number of lanes. With
     `later_steps`, the batch has states `later` that many steps later on average.
     """
     lanes = jnp.arange(controller.shape[0])[:, None]
@@ -212,9 +212,9 @@ def sample(
 
 
 def sample_own(replay: Replay, keys: jax.Array, controller: int, size: int) -> TransitionBatch:
-    """Return `size` transitions of `controller`'s own for each lane, no demonstrations, drawn uniformly with replacement.
+    """Return `size` of the `controller`'s own transitions for each lane, drawn uniformly with replacement.
 
-    Where it has none yet, `demonstrated` is true, and the rows are others.
+    Demonstrations are excluded. Where the controller has none, the rows are others, and `demonstrated` is true.
     """
     lanes = jnp.arange(len(keys))[:, None]
     demos, own = replay.demos[controller], replay.counts[:, controller] - replay.demos[controller]
@@ -235,10 +235,10 @@ def _read(replay: Replay, rows: jax.Array) -> TransitionBatch:
 
 
 def later_states(replay: Replay, keys: jax.Array, rows: jax.Array, mean_steps: float) -> jax.Array:
-    """Return states [N, B, s] that followed those of `rows [N, B]`, a geometric number of steps later, 1 or more.
+    """Return states [N, B, s] that follow those of `rows [N, B]` after a geometric number of steps, 1 or more.
 
-    Where that is after the newest state, or after the last demonstrated one, they are these. They can lie behind a
-    reset, and behind the end of a demonstration: values are learnt for any goal. What is cloned needs a later state of
+    A draw beyond the newest state, or beyond the last demonstrated one, returns that state. States can lie beyond a
+    reset or the end of a demonstration, because values are learnt for any goal. Cloning instead needs a later state of
     the same demonstration.
     """
     draw = jax.vmap(lambda key: jax.random.geometric(key, 1.0 / mean_steps, rows.shape[1:]))
@@ -256,8 +256,8 @@ def _draw(
 ) -> jax.Array:
     """Return random indices [size] into one lane's list of `count` rows.
 
-    A `demo_share` is from the first `demos` of them, the rest from those after the first `left_out`. They are drawn as
-    integers, because float32 cannot represent all of them beyond 2**24.
+    A `demo_share` is drawn from the first `demos` rows, the rest from the rows after the first `left_out`. Integers are
+    drawn, because float32 cannot represent all integers beyond 2**24.
     """
     share_key, index_key = jax.random.split(key)
     from_demos = (jax.random.uniform(share_key, (size,)) < demo_share) & (demos > 0)

@@ -1,8 +1,8 @@
 """Soft actor-critic: a gradient step on the critics, the actor and the temperature.
 
-Source: Haarnoja et al. 2018 (arXiv 1812.05905). The options of ensembles and of several critic updates a step are those
-of Chen et al. 2021 (REDQ) and Ball et al. 2023 (RLPD). Defaults that Sharma et al. 2022, appendix, does not give follow
-the authors' released TF-Agents code; each field names its source.
+Source: Haarnoja et al. 2018 (arXiv 1812.05905). The options for ensembles and several critic updates per step are from
+Chen et al. 2021 (REDQ) and Ball et al. 2023 (RLPD). Defaults that Sharma et al. 2022, appendix, do not give follow the
+authors' released TF-Agents code; each field names its source.
 """
 
 from typing import Any, ClassVar
@@ -48,31 +48,30 @@ class SAC(Learner):
     target_rate: float = struct.field(default=0.005, metadata=within("(0, 1]"))
     """tau of the target critics, which are updated every step (paper)."""
     actor_average_rate: float | None = struct.field(default=None, metadata=within("(0, 1]"))
-    """Rate of an exponential moving average of the actor's weights, updated every step, that is deployed in the actor's
-    place: evaluations and saved policies are the average's, the life is lived by the actor. None: no average, as in
-    EARL. Source: Nikishin et al. 2018, "Improving Stability in Deep Reinforcement Learning with Weight Averaging"."""
+    """Rate of an exponential moving average of the actor's weights, updated every step. Evaluations and saved policies
+    use the average; the actor itself acts in the lifetime. None: no average, as in EARL. Source: Nikishin et al. 2018,
+    "Improving Stability in Deep Reinforcement Learning with Weight Averaging"."""
     initial_temperature: float = struct.field(default=1.0, metadata=within("(0, 1000000]"))
     """alpha at step 0 (released code; not given in the paper)."""
     fixed_temperature: bool = struct.field(pytree_node=False, default=False)
     """Whether alpha stays at `initial_temperature`, as in the first version of SAC (arXiv 1801.01290), which the paper
-    cites for its figure 2; that version also learns a state value, which this learner lacks."""
+    cites for its figure 2. That version also learns a state value, which this learner does not have."""
     entropy_per_action: float = struct.field(default=-0.5, metadata=within("[-100, 100]", fixed_temperature=True))
     """Target entropy divided by the action size (released code: -|A|/2; not given in the paper)."""
     hidden_sizes: tuple[int, ...] = struct.field(pytree_node=False, default=(256, 256), metadata=within("[1, 65536]"))
     """Widths of the ReLU layers of actor and critics (paper)."""
     layer_norm: bool = struct.field(pytree_node=False, default=False)
-    """Whether to normalise the critics' hidden layers; not in the paper, but in later work (MEDAL, RLPD) for
-    stability."""
+    """Whether to normalise the critics' hidden layers. The paper does not; MEDAL and RLPD do, for stability."""
     ensemble: int = struct.field(pytree_node=False, default=SOFT_CRITICS, metadata=within("[2, 100]"))
-    """Number of critics with the entropy term (paper: 2). The actor maximises the minimum of two, or the mean of more, as in
-    REDQ and RLPD (10)."""
+    """Number of critics with the entropy term (paper: 2; REDQ, RLPD: 10). The actor maximises the minimum of two
+    critics, or the mean of more, as in REDQ and RLPD."""
     target_subset: int = struct.field(pytree_node=False, default=SOFT_CRITICS, metadata=within("[1, 100]"))
-    """Number of these critics, drawn anew for each update, whose minimum is the target (REDQ, RLPD: 2, or 1)."""
+    """Number of ensemble critics, drawn anew for each update, whose minimum is the target (REDQ, RLPD: 2, or 1)."""
     backup_entropy: bool = struct.field(pytree_node=False, default=True)
-    """Whether the target has the entropy term (paper); RLPD omits it on sparse tasks."""
+    """Whether the target includes the entropy term (paper); RLPD omits it on sparse tasks."""
     pretrain_log_std: float | None = struct.field(default=None, metadata=within("[-20, 2]", pretrain_steps=0))
-    """Log standard deviation of the policy after the steps of `pretrain_steps`, with a gradient from then on; None: the
-    one that they leave, which the cloning does not fit."""
+    """Log standard deviation to which the policy is set after `pretrain_steps`, and which is learnt from then on. None
+    keeps the value that these steps leave, which cloning does not fit."""
 
     name: ClassVar[str] = "sac"
     diagnostics: ClassVar[tuple[str, ...]] = ("critic_loss", "entropy", "temperature")
@@ -105,13 +104,13 @@ class SAC(Learner):
         return agent.actor if agent.averaged is None else agent.averaged
 
     def with_actor(self, agent: Agent, actor: Any) -> Agent:
-        """Return `agent` with a cloned `actor`, from which the average starts again, with `pretrain_log_std`."""
+        """Return `agent` with a cloned `actor` at `pretrain_log_std`; the moving average starts again from it."""
         if self.pretrain_log_std is not None:
             actor = networks.fix_log_std(actor, self.pretrain_log_std)
         return agent.replace(actor=actor, averaged=None if agent.averaged is None else actor)
 
     def value(self, key: jax.Array, agent: Agent, obs: jax.Array) -> jax.Array:
-        """Return the minimum over the entropy-free critics at an action of the policy, [...] at `obs [..., o]`.
+        """Return the minimum [...] over the entropy-free critics at `obs [..., o]` and an action drawn from the policy.
 
         Raises:
             ValueError: the method has no `entropy_free_pairs`.
@@ -136,9 +135,9 @@ class SAC(Learner):
     def td_target(self, key: jax.Array, agent: Agent, batch: Batch) -> jax.Array:
         """Return the regression targets [K, B]: `scale r + (1 - terminal) gamma (min Q'(s', a') - alpha log pi(a'|s'))`.
 
-        At a terminal transition, time-outs included, the target is the scaled reward alone: the biased TD update of the
-        EARL paper, section 6.1. The minimum is over a random `target_subset` of the ensemble (Chen et al. 2021, REDQ,
-        algorithm 1). Without `backup_entropy`, and for critics after the ensemble, there is no entropy term.
+        At a terminal transition, which can be a time-out, the target is the scaled reward alone: the biased TD update
+        of the EARL paper, section 6.1. The minimum is over a random `target_subset` of the ensemble (Chen et al. 2021,
+        REDQ, algorithm 1). Without `backup_entropy`, and for critics after the ensemble, there is no entropy term.
         """
         next_action, log_prob = self.act_with_log_prob(key, agent.actor, batch.next_obs)
         values = self._next_values(key, agent.targets, batch.next_obs, next_action)
@@ -148,7 +147,7 @@ class SAC(Learner):
         return self.reward_scale * batch.reward + jnp.where(batch.terminal, 0.0, self.discount * values)
 
     def _next_values(self, key: jax.Array, targets: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
-        """Return the value [K, B] of the next step for each critic, by the `targets` of its pair or of a random subset."""
+        """Return the value [K, B] of the next step for each critic: the minimum over its pair or a random subset."""
         if self.ensemble == self.target_subset == SOFT_CRITICS:
             return _pair_min(self.q_values(targets, obs, action))
         chosen = jax.random.permutation(jax.random.fold_in(key, 1), self.ensemble)[: self.target_subset]
@@ -161,8 +160,8 @@ class SAC(Learner):
     def update(self, key: jax.Array, agent: Agent, batch: Batch) -> tuple[Agent, dict[str, jax.Array]]:
         """Return the agent after a step on critics, actor (with the updated critics) and temperature, and diagnostics.
 
-        With `utd` batches in one, the critics and their targets take a step on each, the actor one on the last. Targets
-        and the averaged actor follow at the end.
+        With `utd` concatenated batches, the critics and their targets make a step on each batch, and the actor makes
+        one step on the last. The targets and the averaged actor are updated at the end.
         """
         if self.utd > 1:
             agent, batch = self._repeat_critic_updates(jax.random.fold_in(key, 1), agent, batch)
@@ -177,7 +176,7 @@ class SAC(Learner):
         return agent, dict(zip(self.diagnostics, diagnostics, strict=True))
 
     def _repeat_critic_updates(self, key: jax.Array, agent: Agent, batch: Batch) -> tuple[Agent, Batch]:
-        """Return the agent after critic updates on all but the last of `utd` batches, and the last one."""
+        """Return the agent after critic updates on all but the last of `utd` batches, and the last batch."""
         parts = batch.split(self.utd)
 
         def step(agent, part):
@@ -203,7 +202,7 @@ class SAC(Learner):
     def update_actor(self, key: jax.Array, agent: Agent, batch: Batch) -> tuple[Agent, jax.Array]:
         """Return the agent after a step on `alpha log pi - min Q` and the cloning term, and the mean log-probability.
 
-        An ensemble of more than two has its mean in the place of the minimum.
+        For an ensemble of more than two critics, the mean replaces the minimum.
         """
         temperature = jnp.exp(agent.log_temperature)
         soft = jax.tree.map(lambda leaf: leaf[: self.ensemble], agent.critics)
@@ -225,7 +224,7 @@ class SAC(Learner):
     def update_temperature(self, agent: Agent, log_prob: jax.Array, action_size: int) -> Agent:
         """Return the agent after a descent step on `-log alpha (log pi + target entropy)`, the released code's loss.
 
-        With `fixed_temperature` the agent is returned as it is.
+        With `fixed_temperature` the agent is returned unchanged.
         """
         if self.fixed_temperature:
             return agent

@@ -1,4 +1,4 @@
-"""Twin delayed deep deterministic policy gradient: a second learner, to compare with and to copy from.
+"""Twin delayed deep deterministic policy gradient: a second learner, for comparison and as an example.
 
 Source: Fujimoto, van Hoof and Meger 2018 (TD3, arXiv 1802.09477), algorithm 1; each field names its source.
 """
@@ -34,8 +34,8 @@ class TD3(Learner):
     With noise e ~ clip(N(0, target_noise), -noise_clip, noise_clip), both critics regress on
     `scale r + (1 - terminal) gamma min_i Q'_i(s', clip(pi'(s') + e, -1, 1))`, and the policy maximises Q_1(s, pi(s)).
     Deliberate differences: networks and their initialisation are those of `SAC`, with EARL's widths and step size as
-    defaults (TD3: 400 and 300, 1e-3); the delay counts the steps of the lifetime; with `utd`, the critics learn from
-    every batch and the policy from the last.
+    defaults (TD3: 400 and 300, 1e-3); the delay counts the steps of the lifetime; with `utd` batches, the critics learn
+    from every batch and the policy from the last.
 
     Source: Fujimoto, van Hoof and Meger 2018, "Addressing Function Approximation Error in Actor-Critic Methods" (TD3).
     """
@@ -45,11 +45,11 @@ class TD3(Learner):
     policy_delay: int = struct.field(pytree_node=False, default=2, metadata=within("[1, 1000]"))
     """Steps between updates of the policy and of the targets (TD3)."""
     exploration_noise: float = struct.field(default=0.1, metadata=within("[0, 10]"))
-    """Standard deviation of the noise on actions in the lifetime (TD3)."""
+    """Standard deviation of the exploration noise on actions in the lifetime (TD3)."""
     target_noise: float = struct.field(default=0.2, metadata=within("[0, 10]"))
     """Standard deviation of the noise on the target policy's actions (TD3)."""
     noise_clip: float = struct.field(default=0.5, metadata=within("[0, 10]", target_noise=0.0))
-    """Largest absolute value of that noise (TD3)."""
+    """Largest absolute value of the noise on the target policy's actions (TD3)."""
     hidden_sizes: tuple[int, ...] = struct.field(pytree_node=False, default=(256, 256), metadata=within("[1, 65536]"))
     """Widths of the ReLU layers of actor and critics (EARL)."""
     layer_norm: bool = struct.field(pytree_node=False, default=False)
@@ -77,7 +77,7 @@ class TD3(Learner):
         return agent.replace(actor=actor, target_actor=actor)
 
     def value(self, key: jax.Array, agent: Agent, obs: jax.Array) -> jax.Array:
-        """Return the smaller value of the two critics at an action of the lifetime, [...] at `obs [..., o]`."""
+        """Return the smaller value [...] of the two critics at `obs [..., o]` and an action with exploration noise."""
         return self.q_values(agent.critics, obs, self.act(key, agent.actor, obs)).min(axis=0)
 
     def q_values(self, critics: Any, obs: jax.Array, action: jax.Array) -> jax.Array:
@@ -93,9 +93,9 @@ class TD3(Learner):
         return self.reward_scale * batch.reward + jnp.where(batch.terminal, 0.0, self.discount * value)
 
     def update(self, key: jax.Array, agent: Agent, batch: Batch) -> tuple[Agent, dict[str, jax.Array]]:
-        """Return the agent after a step on the critics for each batch, and where it is due on the actor; last losses.
+        """Return the agent after a critic step on each batch and an actor step if one is due, and the last losses.
 
-        The predicate of the branch is the same in all lanes, so that it stays a branch under vmap.
+        The condition is the same in all lanes, so the branch stays a branch under vmap.
         """
 
         def step(agent, part):
