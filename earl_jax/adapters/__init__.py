@@ -1,1 +1,1 @@
-"""The tasks with the interfaces of `gymnasium`, of `brax`, and of the original benchmark (`earl_benchmark`)."""
+"""The tasks with the interfaces of `gymnasium`, `brax` and the original benchmark (`earl_benchmark`)."""

@@ -1,4 +1,4 @@
-"""What the single and the vector environment of gymnasium share: a session with its state, infos and pictures."""
+"""The common part of gymnasium's single and vector environments: a session with its state, infos and pictures."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from earl_jax.protocol import ProtocolState
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 PIXELS = Interval("[1, 16384]", whole=True)
-"""The widths and heights of pictures that drivers of graphics offer."""
+"""The widths and heights of pictures that graphics drivers support."""
 
 
 class GymnasiumSession:
@@ -42,7 +42,7 @@ class GymnasiumSession:
         self._picture_size = (height, width)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy and a pickle take over: all but the scene of the pictures, which is made again."""
+        """Return the state for copies and pickles: everything except the scene of the pictures, which is made again."""
         return {**self.__dict__, "_scene": None}
 
     @property
@@ -74,13 +74,13 @@ class GymnasiumSession:
         return values
 
     def _change_goal(self, name: str, goal: np.ndarray | None, shape: tuple[int, ...], mask: Any) -> np.ndarray:
-        """Return the observations with `goal`, an argument called `name`, or with the environment's own, where `mask`."""
+        """Return observations, with `goal` (an argument called `name`) or, if None, with a new goal, where `mask`."""
         goal = None if goal is None else checked_array(name, goal, shape)
         self._state = self._call("set_goal", self.state, goal, mask)
         return np.array(self.state.env_state.obs)
 
     def _picture(self, env_state: State) -> np.ndarray:
-        """Return the picture of one `env_state`, by a scene that is made for the first one."""
+        """Return the picture of one `env_state`; the first call makes the scene."""
         from earl_jax.rendering.scenes import Scene
 
         self._scene = self._scene or Scene(self.session.env, self._picture_size)

@@ -17,11 +17,11 @@ from earl_jax.options.values import COUNT, require
 
 
 class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
-    """Many lanes of a task in one jitted program; lane i of a seed equals `ResetFreeEnv` with `seed + i` step by step.
+    """Many lanes of a task in one jitted program; lane i of `seed` equals `ResetFreeEnv` with `seed + i` step by step.
 
-    Lifetimes are never reset automatically (`AutoresetMode.DISABLED`). `autoreset_mode` says when episodes are: in the
-    next step (the default), in the same step with `final_obs` and `final_info`, or not at all. Infos are those of
-    `ResetFreeEnv`, each with its mask.
+    Lifetimes are never reset automatically (`AutoresetMode.DISABLED`). Episodes are reset as `autoreset_mode` says: in
+    the next step (the default), in the same step with `final_obs` and `final_info`, or not at all. Infos are the same
+    as in `ResetFreeEnv`, each with its mask.
     """
 
     has_lanes = True
@@ -54,12 +54,12 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
     ) -> tuple[np.ndarray, dict]:
         """Return observations [N, s + g] and infos after a reset of all lanes, or of `options["reset_mask"]` [N].
 
-        `seed` is that of the first lane, `seed + i` of lane i; or a list of N, in which None is a lane without a seed.
+        Lane i gets the seed `seed + i`, or item i of a list of N seeds; None in the list gives a lane no seed.
         """
         if isinstance(seed, Sequence):
             lane_seeds = seed
             if len(seed) != self.num_envs:
-                raise InputError(f"a list of seeds has one for each of {self.num_envs} lanes, not {brief(seed)}")
+                raise InputError(f"a list of seeds must have one for each of {self.num_envs} lanes, not {brief(seed)}")
         else:
             super().reset(seed=seed)
             lane_seeds = [None if seed is None else seed + lane for lane in range(self.num_envs)]
@@ -79,7 +79,7 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
     def _mask(self, lanes: Any) -> np.ndarray:
         mask = np.array(lanes)
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
-            raise InputError(f"a mask of lanes is bool [{self.num_envs}], not {mask.dtype} {list(mask.shape)}")
+            raise InputError(f"a mask of lanes must be bool [{self.num_envs}], not {mask.dtype} {list(mask.shape)}")
         return mask
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
@@ -106,7 +106,7 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         return np.array(outputs.obs), reward, np.array(last.terminated), np.array(last.truncated), info
 
     def _masked_infos(self, outputs: Outputs, mask: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the infos of the lanes in `mask` with zeros elsewhere, and the mask of each under `_` and its name."""
+        """Return the infos of the lanes in `mask` with zeros elsewhere, and the mask of each info as `_NAME`."""
         masked = {}
         for name, values in self._infos(outputs).items():
             wide_mask = mask.reshape(-1, *[1] * (values.ndim - 1))
@@ -122,7 +122,7 @@ class ResetFreeVectorEnv(GymnasiumSession, VectorEnv):
         return {"final_obs": obs, "final_info": self._masked_infos(last, self._over), **masks}
 
     def set_goal(self, goals: np.ndarray | None = None, mask: np.ndarray | None = None) -> np.ndarray:
-        """Return observations [N, s + g] with `goals [N, g]`, or drawn ones, in all lanes or in `mask [N]`.
+        """Return observations [N, s + g] with `goals [N, g]`, or with drawn goals, set in all lanes or in `mask [N]`.
 
         `ResetFreeEnv.set_goal` describes goals and errors.
         """

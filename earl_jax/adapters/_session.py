@@ -1,6 +1,6 @@
 """A task for agents of other libraries: one life under the protocol, or evaluation episodes, by pure functions.
 
-The life is that of `earl_jax.protocol`: `init`, `advance`, `intervene` and `set_goal`.
+A life consists of the functions of `earl_jax.protocol`: `init`, `advance`, `intervene` and `set_goal`.
 """
 
 import contextlib
@@ -40,7 +40,7 @@ from earl_jax.protocol.life import ATTEMPT_STEPS
 class Outputs(NamedTuple):
     """What a step or a reset returns to another library: `obs [s + g]`, and scalars.
 
-    `success`: the step reached the goal that it was made under. `reached`: so did a step of this episode. `terminated`:
+    `success`: the step reached the goal that the agent pursued. `reached`: some step of this episode did. `terminated`:
     the life ended. `truncated`: the episode is over. `fault`: the simulation broke, and the reward is 0.
     """
 
@@ -59,8 +59,8 @@ class Session:
     """`env` under `protocol`: pure functions of one lane, for jit and vmap.
 
     Mode `train` is one life. Mode `eval` is episodes of H_E steps from s0 ~ rho with one goal each. A fault truncates
-    an episode in its last state before the fault; with a budget, help has no effect in them and nothing is charged. A
-    goal that the caller sets stays until the next `set_goal` or reset.
+    an episode in its last state before the fault. In episodes with a budget, help has no effect and nothing is charged.
+    A goal that the caller sets stays until the next `set_goal` or reset.
     """
 
     env: Env
@@ -97,7 +97,7 @@ class Session:
         """Return the session of `task`, a name with its `options` or an `Env`, for a batch of `lanes`.
 
         Raises:
-            ValueError: an unknown name or option, or options beside an `Env`; the message lists the choices.
+            ValueError: a name or option is unknown, or options are given with an `Env`; the message lists the choices.
         """
         env, setting = split_setting(_make_task(task, options), setting_of(setting))
         setting, env = with_explicit_horizon(setting, env, options), setting.wrap(for_lanes(env, lanes))
@@ -113,14 +113,14 @@ class Session:
         return self.start_from_key(jax.random.key(seed))
 
     def start_from_key(self, key: jax.Array) -> tuple[ProtocolState, Outputs]:
-        """Return what `start` returns, from a typed key."""
+        """Return the same as `start`, but from a typed key."""
         state = init(self.env, self.protocol, key, self.attempt_steps, start_of(self.env, self.starts))
         return state, self._outputs(state)
 
     def reset(self, state: ProtocolState) -> tuple[ProtocolState, Outputs]:
         """Return the start of the next episode, or the life after an intervention, and the outputs.
 
-        A life that has ended starts again.
+        If the life has ended, a new one starts.
         """
         fresh, outputs = self.start_from_key(state.key)
         if not self.is_training:
@@ -129,7 +129,7 @@ class Session:
         return state, self._outputs(state)
 
     def _outputs(self, state: ProtocolState, **of_step: jax.Array) -> Outputs:
-        """Return the outputs of a step that led to `state` with the values `of_step`, or of a reset without them."""
+        """Return the outputs of a step to `state` with the values `of_step`; without values, the outputs of a reset."""
         false = jnp.zeros((), bool)
         values = {"reward": jnp.zeros((), jnp.float32), "success": false, "truncated": false, "fault": false, **of_step}
         return Outputs(
@@ -161,15 +161,15 @@ class Session:
         return state, self._outputs(state, reward=reward, success=success, truncated=truncated, fault=fault)
 
     def set_goal(self, state: ProtocolState, goal: jax.Array | None, mask: jax.Array) -> ProtocolState:
-        """Return `state`, where `mask` with `goal [g]`, or with None with a goal that the environment chooses."""
+        """Return `state`; where `mask` is true, the goal is `goal [g]` or, for None, the environment's choice."""
         return tree_where(mask, set_goal(self.env, state, goal), state)
 
     def step_or_reset(self, state: ProtocolState, action: jax.Array, reset: jax.Array) -> tuple[ProtocolState, Outputs]:
-        """Return the state and the outputs of `step`, or of a reset where `reset`."""
+        """Return the state and the outputs of `step`, or of a reset where `reset` is true."""
         return tree_where(reset, self.reset(state), self.step(state, action))
 
     def step_and_reset(self, state: ProtocolState, action: jax.Array) -> tuple[ProtocolState, Outputs, Outputs]:
-        """Return the state and the outputs of `step`, or of the reset after it where it ended an episode or a life.
+        """Return the state and the outputs of `step`, or of a following reset if the step ended an episode or a life.
 
         The last item is the outputs of the step itself.
         """
@@ -180,7 +180,7 @@ class Session:
     def restart(
         self, state: ProtocolState, seed: jax.Array, from_seed: jax.Array, mask: jax.Array
     ) -> tuple[ProtocolState, Outputs]:
-        """Return `state`, where `mask` started from `seed` (where `from_seed`) or reset, and the outputs."""
+        """Return `state`, where `mask` is true started from `seed` (if `from_seed`) or else reset, and the outputs."""
         fresh, _ = tree_where(from_seed, self.start(seed), self.reset(state))
         state = tree_where(mask, fresh, state)
         return state, self._outputs(state)
@@ -212,7 +212,7 @@ def checked_array(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
     """Return `values` as a float32 array.
 
     Raises:
-        ValueError: they are no real numbers, have another shape than `shape`, or are not finite.
+        ValueError: they are not real numbers, do not have the shape `shape`, or are not finite.
     """
     array = None
     with contextlib.suppress(TypeError, ValueError), np.errstate(over="ignore"):

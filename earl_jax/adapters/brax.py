@@ -1,4 +1,4 @@
-"""The tasks as brax environments, for brax's wrappers and trainers, and other users of its Env.
+"""The tasks as brax environments, for brax's wrappers and trainers and for other code that uses brax's Env.
 
 Written for brax 0.14.2, whose own trainers fail on jax 0.10 and later (docs/adapters.md has the commands).
 """
@@ -16,13 +16,13 @@ from earl_jax.envs import Env, resolved_engine
 from earl_jax.protocol import ProtocolState
 
 NO_TIME_LIMIT = 2**30
-"""More steps than any lifetime has, and exact in float32, in which brax counts steps."""
+"""More steps than any lifetime has; exact in float32, in which brax counts steps."""
 
 
 def wrap_for_training(
     env: BraxEnv, episode_length: int, action_repeat: int = 1, randomization_fn: Any = None
 ) -> BraxEnv:
-    """Return `env` as brax's `training.wrap` does, but without a time limit on a lifetime.
+    """Return `env` wrapped as by brax's `training.wrap`, but without a time limit on a lifetime.
 
     This is the `wrap_env_fn` for brax's trainers.
     """
@@ -33,19 +33,19 @@ def wrap_for_training(
 class ResetFreeEnv(BraxEnv):
     """A task as one lifetime or as episodes, in the modes of `adapters.gymnasium.ResetFreeEnv`.
 
-    `pipeline_state` holds the whole state, so that brax's `AutoResetWrapper` returns a lane to its very first one: the
-    same start, goal and randomness each time. brax's `EpisodeWrapper` and trainers take raw keys (`jax.random.PRNGKey`)
-    only; `reset` takes typed keys as well.
+    `pipeline_state` holds the whole state, so brax's `AutoResetWrapper` always returns a lane to its very first state,
+    with the same start, goal and randomness. brax's `EpisodeWrapper` and trainers accept raw keys
+    (`jax.random.PRNGKey`) only; `reset` accepts typed keys as well.
     """
 
     def __init__(self, task: str | Env, **options: Any):
         """Make the environment of `task`, a name of `list_envs()` or an `Env`.
 
-        `options` are `mode` (`train` for one lifetime, `eval` for episodes that brax's `EpisodeWrapper` ends), `setting`,
-        `attempt_steps`, `starts`, and options of the task. `engine="auto"` takes the fastest engine for one lane.
+        `options` are `mode` (`train` for one lifetime, `eval` for episodes that brax's `EpisodeWrapper` ends),
+        `setting`, `attempt_steps`, `starts`, and options of the task. `engine="auto"` uses the fastest for one lane.
 
         Raises:
-            ValueError: an unknown mode, setting, option or name; the message lists the choices.
+            ValueError: a mode, setting, option or name is unknown; the message lists the choices.
         """
         self.session = Session.of(task, **options)
 
@@ -56,7 +56,7 @@ class ResetFreeEnv(BraxEnv):
         return BraxState(**self._fields(state, outputs, outputs.interventions))
 
     def step(self, state: BraxState, action: jax.Array) -> BraxState:
-        """Return the state after one control step with `action [a]`; its metrics are of this step, for brax to sum."""
+        """Return the state after one control step with `action [a]`; metrics are of this step, for brax to sum."""
         previous: Any = state.pipeline_state
         session_state, outputs = self.session.step(previous, action)
         fields = self._fields(session_state, outputs, previous.counters.interventions)
@@ -64,13 +64,13 @@ class ResetFreeEnv(BraxEnv):
         return dataclasses.replace(state, **fields)
 
     def set_goal(self, state: BraxState, goal: jax.Array | None = None) -> BraxState:
-        """Return `state` with `goal [g]` or the environment's choice; for lanes, use vmap on `env.unwrapped.set_goal`."""
+        """Return `state` with `goal [g]` or the environment's choice; for lanes, vmap `env.unwrapped.set_goal`."""
         previous: Any = state.pipeline_state
         session_state = self.session.set_goal(previous, goal, jnp.asarray(True))
         return dataclasses.replace(state, pipeline_state=session_state, obs=session_state.obs)
 
     def _fields(self, state: ProtocolState, outputs: Outputs, interventions_before: jax.Array) -> dict[str, Any]:
-        """Return the fields of brax's state for a session in `state`; the metrics are those of the last step alone."""
+        """Return the fields of brax's state for a session in `state`; the metrics describe the last step alone."""
         done = outputs.terminated if self.session.is_training else outputs.terminated | outputs.fault
         metrics = {"success": outputs.success, "interventions": outputs.interventions - interventions_before}
         return {

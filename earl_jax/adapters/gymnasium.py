@@ -37,15 +37,15 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
     """A task as one reset-free lifetime (`mode="train"`) or as evaluation episodes (`mode="eval"`).
 
     A lifetime is never truncated. It terminates only when a budget for help is spent. Hard interventions happen inside
-    `step`, every H_T steps, and are counted; `reset()` without a seed is one more, and `reset(seed=...)` starts another
-    lifetime. The task goal changes when it is reached (sparse rewards), or else after `attempt_steps`, and at
-    interventions, as for naive RL; with `setting="continuing"` it changes on a schedule only. `set_goal` takes over the
-    choice of goals. Episodes start from s0 ~ rho with one goal each and are truncated after H_E steps, or when the
-    simulation breaks.
+    `step`, every H_T steps, and are counted. `reset()` without a seed is another intervention; `reset(seed=...)` starts
+    a new lifetime. The task goal changes when it is reached (sparse rewards), or else after `attempt_steps`, and at
+    interventions, as for naive RL; with `setting="continuing"` it changes only on a schedule. With `set_goal` the
+    caller chooses the goals. Episodes start from s0 ~ rho with one goal each and are truncated after H_E steps, or if
+    the simulation breaks.
 
-    `info` has the current `goal [g]`; `success`: the step reached the goal that it was made under; `interventions` so
-    far; and in episodes `is_success`: a step so far was a success. With `starts="wide"` the latter is `is_success_wide`
-    too, by which a log tells both kinds of episodes apart.
+    `info` contains the current `goal [g]`; `success`: whether the step reached the goal that the agent pursued; the
+    number of `interventions` so far; and in episodes `is_success`: whether any step so far was a success. With
+    `starts="wide"`, `is_success_wide` repeats `is_success`, so that a log can tell both kinds of episodes apart.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
                 options of the task: `reward_type`, `engine`, `train_horizon` and so on.
 
         Raises:
-            ValueError: an unknown mode, setting, option or name; the message lists the choices.
+            ValueError: a mode, setting, option or name is unknown; the message lists the choices.
         """
         self._open(Session.of(task, **options), render_mode, width, height)
         env = self.session.env
@@ -100,7 +100,7 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
     def set_goal(self, goal: np.ndarray | None = None) -> np.ndarray:
         """Return the observation [s + g] with `goal [g]`, which stays until the next `set_goal` or `reset`.
 
-        Without a goal the environment draws a task goal and changes it by its own rules again.
+        Without `goal`, the environment draws a task goal and again changes goals by its own rules.
 
         Raises:
             ValueError: the goal has another shape or is not finite.

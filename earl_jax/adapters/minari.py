@@ -18,9 +18,9 @@ minari = optional("minari", "a Minari dataset needs", "minari")
 
 
 def demonstrations(task: str | Env, direction: str = "forward", dataset: str | None = None) -> Any:
-    """Return a new `MinariDataset` of a task's recorded demonstrations, an episode for each, with rewards of `task`.
+    """Return a new `MinariDataset` of a task's recorded demonstrations, one episode for each, with rewards of `task`.
 
-    An episode terminates if the reward is sparse and its last step reaches the goal.
+    An episode terminates if the reward is sparse and the last step reaches the goal; otherwise it is truncated.
 
     Args:
         task: a task's name, or an `Env`.
@@ -28,7 +28,7 @@ def demonstrations(task: str | Env, direction: str = "forward", dataset: str | N
         dataset: the dataset's name; by default `earl_jax/TASK/DIRECTION-v0`.
 
     Raises:
-        ValueError: the task has no such demonstrations, or the dataset exists.
+        ValueError: the task has no such demonstrations, or the dataset already exists.
     """
     env = make(task) if isinstance(task, str) else task
     demos = env.demonstrations.load(direction)
@@ -40,15 +40,15 @@ def demonstrations(task: str | Env, direction: str = "forward", dataset: str | N
 
 
 def write(dataset: str, env: Env, transitions: Demos, terminal: np.ndarray, algorithm: str, description: str) -> Any:
-    """Return the new `MinariDataset` `dataset` of `transitions [T]` on `env`, an episode up to each of their `ends`.
+    """Return a new `MinariDataset` named `dataset` of `transitions [T]` on `env`, whose `ends` separate the episodes.
 
-    Observations are those of the task, state and goal [s + g], as one box: a goal need not be a state, so there is no
+    Observations are those of the task, state and goal [s + g], in one box: a goal need not be a state, so there is no
     dictionary of both. An episode whose last step is `terminal [T]` terminates; the others are truncated. The dataset
-    recovers the task of gymnasium, with `eval_env=True` its evaluation episodes, unless `env` is not registered or has
-    a budget for help.
+    can recover its gymnasium environment (with `eval_env=True` the evaluation episodes), unless `env` is not registered
+    or has a budget for help.
 
     Raises:
-        ValueError: the dataset exists, or its name is not a valid one.
+        ValueError: the dataset already exists, or its name is not valid.
     """
     obs, next_obs = (
         np.concatenate([states, transitions.goals], axis=1) for states in (transitions.states, transitions.next_states)
@@ -80,16 +80,16 @@ def write(dataset: str, env: Env, transitions: Demos, terminal: np.ndarray, algo
 
 
 def _check_name(dataset: str) -> None:
-    """Raise an InputError before Minari makes a folder, if a new dataset cannot have this name."""
+    """Raise an InputError if a new dataset cannot have this name, before Minari makes a folder."""
     match = minari.dataset.minari_dataset.DATASET_ID_RE.fullmatch(dataset)
     if match is None or match["version"] is None:
-        raise InputError(f"{dataset!r} is no name of a Minari dataset, such as earl_jax/door/replay-v0")
+        raise InputError(f"{dataset!r} is not a valid name of a Minari dataset, such as earl_jax/door/replay-v0")
     if minari.storage.get_dataset_path(dataset).exists():
-        raise InputError(f"the Minari dataset {dataset} exists; choose another name or version, or delete it")
+        raise InputError(f"the Minari dataset {dataset} already exists; choose another name or version, or delete it")
 
 
 def _environments(env: Env) -> dict[str, EnvSpec]:
-    """Return gymnasium's specifications of `env` for Minari, none if it has no id with these options."""
+    """Return gymnasium's specifications of `env` for Minari; empty if no gymnasium id stands for it."""
     if env.name not in list_envs() or type(env) is not env_class(env.name):
         return {}
     register_envs()

@@ -1,7 +1,7 @@
 """The interface of the original benchmark: `from earl_jax.adapters import earl_benchmark` replaces the original import.
 
 Behaviour follows the released `EARLEnvs` (github.com/architsharma97/earl_benchmark), whose wrappers are in `wrappers`.
-docs/adapters.md lists the differences, docs/tasks.md those of the tasks.
+docs/adapters.md lists the differences of the interface, docs/tasks.md the differences of the tasks.
 """
 
 import dataclasses
@@ -23,17 +23,16 @@ ORIGINAL_NAMES = {
     "kitchen": "franka_kitchen",
     "minitaur": "minitaur_pen",
 }
-"""The original's names of tasks that have another name in `earl_jax`; both names work."""
+"""Original names of tasks that are called otherwise in `earl_jax`; both names work."""
 Demonstrations = dict[str, np.ndarray]
 
 
 class EARLEnvs:
     """A train and an eval env of one task, with its goals, initial states and demonstrations.
 
-    Without a `reward_type` the task's own is used: sparse for tabletop, door and peg as in the original, dense for the
-    others (in the original, the kitchen refuses `sparse`, which is the default, and the Minitaur ignores it).
-    Randomness comes from numpy's global generator at construction, so that `np.random.seed` in a script works as
-    before.
+    The default `reward_type` is the task's own: sparse for tabletop, door and peg as in the original, dense for the
+    others (in the original, the kitchen refuses the default `sparse`, and the Minitaur ignores it). Seeds are drawn
+    from numpy's global generator at construction, so `np.random.seed` in a script works as before.
     """
 
     def __init__(
@@ -55,17 +54,17 @@ class EARLEnvs:
             env_name: a name of the original (`tabletop_manipulation`, `sawyer_door`, `sawyer_peg`, `kitchen`,
                 `minitaur`) or of `list_envs()`.
             reward_type: `sparse` or `dense`.
-            reset_train_env_at_goal: start the train env at the goal (door and peg; the original's tabletop can too, and
-                its other tasks ignore the option).
-            setup_as_lifelong_learning: only a train env, whose goal changes every `goal_change_frequency` steps.
-            num_initial_state_samples: how many states `get_initial_states` returns at most; by default all.
-            goal_change_frequency: steps between two goals of lifelong learning; by default those of the task.
+            reset_train_env_at_goal: start the train env at the goal (door and peg only; in the original also tabletop,
+                while its other tasks ignore the option).
+            setup_as_lifelong_learning: make only a train env, whose goal changes every `goal_change_frequency` steps.
+            num_initial_state_samples: largest number of states that `get_initial_states` returns; by default all.
+            goal_change_frequency: steps between two goals in lifelong learning; by default the task's own number.
             wide_init_distr: the option `wide` of tabletop; other tasks ignore it, as in the original.
-            kitchen_task: `all_pairs`, the benchmark's.
+            kitchen_task: must be `all_pairs`, the task of the benchmark.
             options: options of the task: the original's `train_horizon` and `eval_horizon`, and others such as `engine`.
 
         Raises:
-            ValueError: an unknown name or option (the original ignores unknown options), or one that this task lacks.
+            ValueError: a name or an option is unknown (the original ignores unknown options), or this task lacks it.
         """
         self._samples = num_initial_state_samples
         continuing = Continuing(goal_change=goal_change_frequency)
@@ -86,7 +85,7 @@ class EARLEnvs:
         self._eval = None if setup_as_lifelong_learning else self.get_eval_env()
 
     def get_envs(self) -> Wrapper | tuple[Wrapper, Wrapper]:
-        """Return the train and the eval env, or for lifelong learning the train env alone."""
+        """Return the train and the eval env, or only the train env for lifelong learning."""
         return self._train if self._eval is None else (self._train, self._eval)
 
     def get_train_env(self, lifelong: bool = False) -> Wrapper:
@@ -106,7 +105,7 @@ class EARLEnvs:
         return self._task.demonstrations.recorded
 
     def get_initial_states(self, num_samples: int | None = None) -> np.ndarray:
-        """Return representative initial states [I, s], at most `num_samples` (the original ignores the number)."""
+        """Return representative initial states [I, g], at most `num_samples` (the original ignores the number)."""
         samples = self._samples if num_samples is None else num_samples
         if samples is not None:
             require("the number of samples", samples, COUNT)
@@ -121,11 +120,11 @@ class EARLEnvs:
 
         Each has float32 `observations [T, s + g]`, `actions [T, a]`, `rewards [T, 1]`, `next_observations [T, s + g]`
         and bool `terminals [T, 1]`, true on the last transition of each demonstration. They come from the tasks'
-        scripts, not from the original's recordings; `demo_file` gives others (`earl-jax import-demos`). The rewards are
-        sparse, as recorded, whatever the `reward_type` or `variant`; the original's are so, too.
+        scripts, not from the original's recordings; the option `demo_file` replaces them (`earl-jax import-demos`). The
+        rewards are sparse, as recorded, whatever the `reward_type` or `variant`, as in the original.
 
         Raises:
-            ValueError: the task has none (the original prints a line and returns None).
+            ValueError: the task has no demonstrations (the original prints a line and returns None).
         """
         return self._demonstrations("forward"), self._demonstrations("backward")
 

@@ -1,4 +1,4 @@
-"""A task with the four-tuple `step` of old gym, as the original's environments have it."""
+"""A task with old gym's `step`, which returns four values, as in the original's environments."""
 
 import dataclasses
 from typing import Any
@@ -13,9 +13,9 @@ from earl_jax.options.values import LARGEST_INT, SEED, require
 
 
 class TaskEnv:
-    """A task that keeps its state until the caller resets it; `done` is true only where the simulation breaks.
+    """A task that keeps its state until the caller resets it; `done` is true only if the simulation breaks.
 
-    The observation is then that of the state before the step. `info` is `{"success": bool}`.
+    In that case the observation is the one before the step. `info` is `{"success": bool}`.
     """
 
     reward_range = (-np.inf, np.inf)
@@ -70,7 +70,7 @@ class TaskEnv:
     def compute_reward(self, obs: np.ndarray | None = None) -> Any:
         """Return the reward of arriving in `obs [..., s + g]`, or that of the current state: a number, or [...].
 
-        The latter is exact, as in `step`, also where a dense reward depends on more than `obs`. Errors as `is_successful`.
+        The current state's reward is exact, even if it depends on more than `obs`. Errors as `is_successful`.
         """
         if obs is not None:
             return self._evaluate("reward", obs)
@@ -100,7 +100,7 @@ class TaskEnv:
         """Return a picture [480, 640, 3], uint8.
 
         Raises:
-            ValueError: the `mode` is another one, as there is no window, or the task has no pictures.
+            ValueError: the `mode` is not `rgb_array` (there is no window), or the task has no pictures.
         """
         if mode != self._env.render_mode:
             raise InputError(f"render mode {mode!r} is not supported; this task has {self._env.render_mode}")
@@ -112,5 +112,5 @@ class TaskEnv:
 
     @property
     def unwrapped(self) -> "TaskEnv":
-        """This env, which wraps none."""
+        """This env itself, because it wraps no other."""
         return self

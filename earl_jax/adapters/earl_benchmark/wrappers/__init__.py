@@ -1,4 +1,4 @@
-"""The original's wrappers, for its four-tuple envs."""
+"""The original's wrappers, for envs whose `step` returns four values."""
 
 from typing import Any
 
@@ -6,10 +6,10 @@ import numpy as np
 
 
 class Wrapper:
-    """An env that hands every public attribute on to the one that it wraps, as gym's `Wrapper` does."""
+    """An env that forwards access to public attributes to the env that it wraps, like gym's `Wrapper`."""
 
     def __init__(self, env: Any):
-        """Wrap `env`, which has `reset` and the four-tuple `step` of old gym."""
+        """Wrap `env`, which has `reset` and old gym's `step` with four values."""
         self.env = env
         self.num_interventions = 0
         self._steps = 0

@@ -1,4 +1,4 @@
-"""The wrapper whose goal changes on a schedule, and which adds up the reward of the whole life."""
+"""The wrapper that changes the goal on a schedule and adds up the reward of the whole life."""
 
 from typing import Any
 
@@ -10,8 +10,8 @@ from earl_jax.adapters.earl_benchmark.wrappers import Wrapper
 class LifelongWrapper(Wrapper):
     """An env with a new task goal every `goal_change_frequency` steps.
 
-    It counts `num_interventions` and adds up rewards in `lifelong_return`. `reset_goal` of the wrapped env returns the
-    observation with the new goal.
+    It counts `num_interventions` and adds up rewards in `lifelong_return`. `reset_goal` of the wrapped env must return
+    the observation with the new goal.
     """
 
     def __init__(self, env: Any, goal_change_frequency: int):
@@ -20,7 +20,7 @@ class LifelongWrapper(Wrapper):
         self._frequency = goal_change_frequency
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict]:
-        """Return observation, reward, done and info; the reward is that of the old goal, the observation has the new one."""
+        """Return observation, reward, done and info; the reward is for the old goal, the observation has the new."""
         obs, reward, done, info = self.env.step(action)
         self.lifelong_return += reward
         self._steps += 1

@@ -1,4 +1,4 @@
-"""The wrapper that says when a reset is due, and never resets."""
+"""The wrapper that says when a reset is due, but never resets by itself."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from earl_jax.adapters.earl_benchmark.wrappers import Wrapper
 
 
 class PersistentStateWrapper(Wrapper):
-    """An env that is done `episode_horizon` steps after its reset and goes on; 0 is never.
+    """An env that reports `done` once `episode_horizon` steps have passed since its reset (0: never), and goes on.
 
     It counts `num_interventions` and `total_steps`.
     """
@@ -19,7 +19,7 @@ class PersistentStateWrapper(Wrapper):
         self._horizon = episode_horizon
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict]:
-        """Return observation, reward, done and info of the wrapped env, done also where a reset is due."""
+        """Return observation, reward, done and info of the wrapped env; `done` is also true if a reset is due."""
         obs, reward, done, info = self.env.step(action)
         self.total_steps += 1
         self._steps += 1
