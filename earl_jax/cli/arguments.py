@@ -18,24 +18,24 @@ from earl_jax.options.values import TimeLimit, parse_number, parse_whole
 from earl_jax.runs.files import RunWarning, format_warning
 
 SEED_TOKEN = re.compile(r"[\d_:,]+")
-"""A count, a range or a list of seeds; no task is called so."""
+"""Matches a count, a range or a list of seeds, but no name of a task."""
 PYTHON_VALUES = {"True": True, "False": False, "None": None}
-"""Values that the docs of options write as Python does, which JSON writes in lower case or as null."""
+"""Values that the docs of options write as in Python; JSON writes them in lower case or as null."""
 WARNED: list[str] = []
 """The warnings of runs that the command has printed."""
 REGISTRY = ConstructorRegistry()
-"""The types that the parser of commands reads in another way than tyro."""
+"""The types that the parser of commands reads in another way than tyro does."""
 
 Positional = tyro.conf.Positional
 Texts = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction]
-"""Several texts, in one argument or in several of the same name."""
+"""Several texts, in one argument or in repeated arguments of the same name."""
 Logs = Annotated[tuple[tuple[Literal["tensorboard", "wandb"], ...], ...], tyro.conf.UseAppendAction]
 Seeds = Annotated[str | None, tyro.conf.arg(metavar="SEEDS")]
 
 
 @REGISTRY.primitive_rule
 def whole_number_or_path(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
-    """Return how an int is read, also as 1e6, 2.5e6 or 2_500_000, and how a path is."""
+    """Return how the parser reads an int, which can be 1e6, 2.5e6 or 2_500_000, or a path."""
     readers = {int: (parse_whole, "INT"), Path: (_expanded, "PATH")}
     if kind.type not in readers:
         return None
@@ -52,10 +52,10 @@ def whole_number_or_path(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | 
 def _expanded(text: str) -> Path:
     """Return the path `text`, with the folder of the user for `~`, which a shell leaves in `--out=~/runs`.
 
-    It is absolute where only its `./` told it from the user's folder, as in `./~`.
+    A path such as `./~`, which differs from the user's folder only by `./`, becomes absolute.
 
     Raises:
-        ValueError: it is empty, as an unset variable of a shell is, and would be the current folder.
+        ValueError: the text is empty, as after an unset shell variable; it would mean the current folder.
     """
     if not text:
         raise ValueError("a path is empty")
@@ -76,10 +76,10 @@ def join_seeds(arguments: list[str]) -> list[str]:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[None]:
-    """A context that writes `path`; where a file was there before, a line on stderr says so after it was replaced.
+    """A context in which `path` is written; if that replaces a file, a line on stderr says so afterwards.
 
     Raises:
-        ValueError: the file is one of a run, which would be lost, or a folder is there.
+        ValueError: `path` is a file of a run, which would be lost, or a folder.
     """
     from earl_jax.runs.contents import FILES, is_run
 
@@ -104,7 +104,7 @@ def parse_minutes(text: str | None) -> TimeLimit | None:
 
 
 def note_warning(message: Warning | str, category: type[Warning], *details: Any) -> str:
-    """Return a warning as a command prints it, and note that of a run for its JSON output."""
+    """Return a warning as a command prints it; a `RunWarning` is also noted for the JSON output."""
     if issubclass(category, RunWarning):
         WARNED.append(str(message))
     return format_warning(message, category, *details)
@@ -113,7 +113,7 @@ def note_warning(message: Warning | str, category: type[Warning], *details: Any)
 def emit(result: dict[str, Any], as_json: bool, text: str) -> None:
     """Print `result` as one JSON object with `as_json`, else `text`.
 
-    JSON has null where a number is not finite, and `warnings` if some were printed on stderr.
+    In JSON, numbers that are not finite become null, and `warnings` lists warnings that were printed on stderr.
     """
     if as_json:
         warned = {"warnings": WARNED} if WARNED else {}
@@ -123,7 +123,7 @@ def emit(result: dict[str, Any], as_json: bool, text: str) -> None:
 
 @contextlib.contextmanager
 def stopping(as_json: bool, values: dict[str, Any]) -> Iterator[None]:
-    """A context that prints `values` and the steps as one JSON object, with `as_json`, if a signal stops training in it."""
+    """A context that prints `values` and the steps as one JSON object, with `as_json`, if a signal stops training."""
     from earl_jax.training.stopping import Stopped
 
     try:
@@ -138,8 +138,8 @@ def parse_options(pairs: Iterable[str], others: Collection[str] = ()) -> dict[st
     """Return name=value `pairs` as a dictionary. A value is JSON, Python's True, False or None, or else text.
 
     Raises:
-        ValueError: a pair has no `=`, its name is in another pair or among `others`, which have an argument of their own,
-            or its value has thousands of digits or brackets.
+        ValueError: a pair has no `=`, its name occurs twice or among `others`, which have an argument of their own, or
+            its value has thousands of digits or brackets.
     """
     options = {}
     for pair in pairs:
@@ -153,5 +153,5 @@ def parse_options(pairs: Iterable[str], others: Collection[str] = ()) -> dict[st
         except json.JSONDecodeError:
             options[name] = text
         except (ValueError, RecursionError) as error:
-            raise InputError(f"--set: {text[:20]}... ({len(text)} characters) is no value: {error}") from None
+            raise InputError(f"--set: {text[:20]}... ({len(text)} characters) is not a value: {error}") from None
     return options

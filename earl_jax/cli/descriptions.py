@@ -23,7 +23,7 @@ from earl_jax.options.values import literals
 CATALOG = Path(__file__).with_name("catalog.json")
 REGISTRIES = {"task": ENVS, "method": ALGOS, "learner": LEARNERS}
 TASK_NUMBERS = ("observation_size", "goal_size", "action_size", "reward_type", "train_horizon", "eval_horizon")
-"""The attributes of a task that its description has."""
+"""The attributes of a task that its description contains."""
 SENTENCE = re.compile(r"(?<=[.;])\s+(?=[A-Z`])")
 SOURCE = re.compile(r"Source: (.*?\b\d{4}\b.*?)(?<!\bal)\.(?:\s|$)")
 YEAR = re.compile(r"\b(?:19|20)\d{2}\b")
@@ -36,12 +36,12 @@ def names() -> dict[str, list[str]]:
 
 @functools.cache
 def stored() -> dict[str, Any]:
-    """Return the stored descriptions by class, and under `shared` the options of every learner."""
+    """Return the stored descriptions by class, and under `shared` the options that all learners have."""
     return json.loads(CATALOG.read_text())
 
 
 def task(name: str) -> dict[str, Any]:
-    """Return what a task is, its sizes, rewards, horizons, demonstrations and options."""
+    """Return the description of a task: summary, sizes, rewards, horizons, demonstrations and options."""
     from earl_jax.envs import MujocoEnv
 
     env = ENVS.make(name)
@@ -60,7 +60,7 @@ def task(name: str) -> dict[str, Any]:
 
 
 def method(name: str) -> dict[str, Any]:
-    """Return what a method does, its source, year, demonstrations and own options."""
+    """Return the description of a method: summary, source, year, demonstrations and own options."""
     cls = ALGOS.get(name)
     return {
         **_sourced(cls),
@@ -80,7 +80,7 @@ def _sourced(cls: type) -> dict[str, Any]:
 
 
 def learner(name: str) -> dict[str, Any]:
-    """Return what a learner does, its source, year and own options."""
+    """Return the description of a learner: summary, source, year and own options."""
     from earl_jax.algos import Learner
 
     cls = LEARNERS.get(name)
@@ -93,7 +93,7 @@ DESCRIBE = {"task": task, "method": method, "learner": learner}
 
 
 def catalog() -> dict[str, Any]:
-    """Return the descriptions of the package's own classes by class, and under `shared` the options of every learner."""
+    """Return the descriptions of the package's own classes by class, and under `shared` the options of all learners."""
     from earl_jax.algos import Learner
 
     described: dict[str, Any] = {"shared": _options(Learner)}
@@ -108,7 +108,7 @@ def catalog() -> dict[str, Any]:
 def _options(cls: type) -> dict[str, dict[str, Any]]:
     """Return the options of a class by name: type, default, valid values and meaning.
 
-    Where the field has no docstring, the meaning is the sentence of a class's that names the option.
+    If a field has no docstring, its meaning is the sentence in a class docstring that names the option.
     """
     import numpy as np  # without it, `list` starts faster
 
@@ -138,7 +138,7 @@ def _summary_and_details(cls: type) -> tuple[str, list[str]]:
 def _documentation(cls: type) -> tuple[list[str], dict[str, str]]:
     """Return the docstrings of a class and of its bases of the same packages, nearest first, and those of their fields.
 
-    They are read from the source: `__doc__` has none of fields, and a dataclass without a docstring has its signature there.
+    They are read from the source: fields have no `__doc__`, and that of a dataclass can be its signature.
     """
     tops = {"earl_jax", cls.__module__.partition(".")[0]}
     docstrings, meanings = [], {}
@@ -154,6 +154,6 @@ def _documentation(cls: type) -> tuple[list[str], dict[str, str]]:
 
 
 def store() -> None:
-    """Write the catalog, a line for each class."""
+    """Write catalog.json, with a line for each class."""
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in catalog().items()]
     CATALOG.write_text("{" + ",\n".join(lines) + "}\n")

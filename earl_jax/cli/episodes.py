@@ -27,15 +27,15 @@ def render(
         source: Run folder, task, or all (one picture of the paper's six tasks).
         out: File to write: .mp4, .gif, .webp, or .png for a sheet of six moments. By default video.mp4 in a run folder, or
             TASK.mp4.
-        acting: Source of the actions. By default the newest policy of a run, or the first of these that a task has.
+        acting: Source of the actions. By default the newest policy of a run, or the first of these that a task offers.
         seed: Random seed of the starts and goals; for a run, also the seed whose policy acts. By default 0, or the run's
             first.
         steps: Total number of control steps. By default ten seconds, or one episode for a sheet.
-        size: Height and width of a frame, or of one moment of a sheet. By default those of the format.
+        size: Height and width of a frame, or of one moment of a sheet. The default depends on the format.
         fps: Largest number of frames per second. By default 25, or 12.5 for a .gif or .webp.
         camera: Camera of the task. By default the task's own. An unknown name lists the valid ones.
-        policy: Method whose trained policy acts in a task, of those that ship. An unknown name lists them. By default none.
-        life: Show one life without resets, whose goals are a task goal and an initial state in turn.
+        policy: Method whose shipped trained policy acts in a task. An unknown name lists the methods. By default none.
+        life: Show one life without resets. Its goals alternate between a task goal and an initial state.
     """
     from earl_jax.rendering import api
 
@@ -50,7 +50,7 @@ def demos(env: Positional[str], out: Path, seed: int = 0, engine: str | None = N
     Args:
         env: Task.
         out: Output file, .npz.
-        seed: Random seed of the starts and of the expert's noise. Seed 0 gives the file that ships, if one does.
+        seed: Random seed of the starts and of the expert's noise. Seed 0 reproduces the shipped file, if there is one.
     """
     from earl_jax import envs
     from earl_jax.envs.demos import scripted
@@ -65,7 +65,7 @@ def import_demos(file: Positional[Path], backward: Path | None = None, out: Path
     """Convert demonstrations of the original release into a file for training (--set demo_file=OUT).
 
     Args:
-        file: Forward demonstrations: the original pickle, or an npz file of the same arrays. No code in it is executed.
+        file: Forward demonstrations: the original pickle, or an npz file of the same arrays. Its code is not executed.
         backward: Backward demonstrations in the same format, for return phases. By default none.
         out: New npz file. By default a file beside FILE.
     """
@@ -73,7 +73,7 @@ def import_demos(file: Positional[Path], backward: Path | None = None, out: Path
 
     target = out or file.with_name(f"{file.stem}_imported.npz")
     if target.exists():
-        raise InputError(f"{target} exists; choose another file with --out")
+        raise InputError(f"{target} already exists; choose another file with --out")
     files = {"forward": file} if backward is None else {"forward": file, "backward": backward}
     imported = {direction: importer.read(path) for direction, path in files.items()}
     scripted.save(imported, target)
@@ -101,7 +101,7 @@ def export(
 
     if is_run(source):
         if direction is not None:
-            raise InputError(f"{source} is a run, whose life is exported whole: leave out --direction")
+            raise InputError(f"{source} is a run, whose whole life is exported: leave out --direction")
         config = RunFolder.open(source).config
         seed = config.seeds[0] if seed is None else seed
         env, transitions, terminal = load_transitions(source, seed)
@@ -109,7 +109,7 @@ def export(
         written = minari.write(name, env, transitions, terminal, config.algo, f"The life of seed {seed} in {source}")
     else:
         if seed is not None:
-            raise InputError(f"{source} is no run, and demonstrations have no seed: leave out --seed")
+            raise InputError(f"{source} is not a run, and demonstrations have no seed: leave out --seed")
         written = minari.demonstrations(source, direction or "forward", dataset)
     spec = written.spec
     print(f"{spec.dataset_id}: {spec.total_episodes} episodes, {spec.total_steps} steps, in {spec.data_path}")

@@ -29,34 +29,34 @@ VALUES = {
     "tasks": "TASK",
     "window": "STEPS",
 }
-"""What the value of an argument is called, where its type (PATH, INT) or its own name does not say it."""
+"""The name of an argument's value in the help, where neither its type (PATH, INT) nor the argument's name says it."""
 SHARED = {
     "devices": "Number of devices that share the lanes. By default one, or all devices of several hosts.",
     "engine": "Physics engine of a MuJoCo task: auto, mjx, warp or c; by default auto. Other tasks have none.",
     "hosts": "Run as one of several hosts: auto on a cluster that jax detects, else ADDRESS:PORT,HOSTS,NUMBER. By default "
-    "there is one.",
+    "one host.",
     "json": "Print one JSON object on stdout.",
-    "labels": "A name for each line, in the order in which they are shown. By default method and options.",
+    "labels": "A name for each line, in the order of the lines. By default method and options.",
     "last": "Number of evaluations at the end of a run that its score averages. By default those of its last tenth, at least "
-    "five. 1 is the paper's.",
-    "log": "Loggers to use besides metrics.csv. By default none. A resumed run uses the same ones.",
-    "max_lanes": "Largest number of lanes (runs x seeds) in one program. By default there is no limit.",
+    "five. The paper uses 1.",
+    "log": "Loggers to use besides metrics.csv. By default none. A resumed run uses the same loggers.",
+    "max_lanes": "Largest number of lanes (runs x seeds) in one program. By default unlimited.",
     "metric": "Column of metrics.csv to show, compare or rank by, highest first, such as interventions. By default the deployed "
     "score, to which plot and table add the continuing one.",
     "minutes": "Limit of wall-clock time from the start of the command. Training then ends after the current chunk of steps, "
-    "with a checkpoint and exit code 0. By default there is none.",
+    "with a checkpoint and exit code 0. By default unlimited.",
     "per_device": "Number of programs that train at a time on each GPU of this machine, through NVIDIA MPS, or without a GPU on "
-    "its CPU; auto takes the measured number. By default one program, on one GPU.",
+    "its CPU; auto uses the measured number. By default one program, on one GPU.",
     "set": "Options of the task, the setting or the method as name=value pairs.",
     "window": "Number of steps at the end of a run whose evaluations its score averages, instead of --last.",
 }
-"""What arguments of several commands mean."""
+"""The help texts of arguments that several commands have."""
 CONTINUED = re.compile(r"\n {8,}(?=\S)")
-"""The break of a line within the description of an argument, which the parser would print."""
+"""A line break within the description of an argument, which the parser would print."""
 
 
 def readable(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give `command` a help that names values, has `SHARED`, and prints no default that is None or empty: the text says it."""
+    """Give `command` a help with names of values and `SHARED`, without empty defaults, which the text describes."""
     for name, parameter in inspect.signature(command).parameters.items():
         hint = "" if parameter.default in NO_DEFAULTS else None
         argument = tyro.conf.arg(metavar=_metavar(parameter), help=SHARED.get(name), help_behavior_hint=hint)

@@ -20,7 +20,7 @@ def show(folder: Positional[Path], last: int | None = None, window: int | None =
     """Show a run: its task, method and options, the steps it has reached, its newest metrics, and its policies.
 
     Args:
-        folder: Run folder. It needs no checkpoint.
+        folder: Run folder. No checkpoint is needed.
     """
     from earl_jax.metrics.scores import Window
     from earl_jax.report.runs import part_scores, parts
@@ -48,7 +48,7 @@ def show(folder: Positional[Path], last: int | None = None, window: int | None =
 
 
 def _text(result: "Result", values: dict[str, Any], own: "list[Curves]") -> str:
-    """Return the lines of the summary of `result`, with the mean of every metric over the seeds of each of its parts `own`."""
+    """Return the summary of `result` as lines, with the mean of every metric over the seeds of each `own` part."""
     from earl_jax.runs.provenance import made_by
 
     texts = result.summary(own[0].window)
@@ -96,11 +96,11 @@ def evaluate(
 
     Args:
         folder: Run folder with policies.npz or a checkpoint.
-        episodes: Episodes for the policy of each seed.
+        episodes: Number of episodes for the policy of each seed.
         seed: Random seed of the starts and goals.
         starts: Initial states of the episodes: those of the task, uniform over the workspace, or wide.
-        pairs: Whether pairs of start and goal are drawn at random, or balanced: every pair equally often. By default as in
-            the run.
+        pairs: How pairs of start and goal are drawn: at random, or balanced (every pair equally often). By default as
+            in the run.
     """
     from earl_jax import training
     from earl_jax.metrics.scores import Window
@@ -135,11 +135,11 @@ def plot(
     """Plot the deployed and continuing curves of runs, one line per method, with 95 % bands, and print a caption.
 
     Args:
-        folders: Run folders, or folders of them, such as those of a sweep. Each task has panels of its own.
-        out: Picture to write: .png, .pdf or .svg. A line says so if it replaces one.
+        folders: Run folders, or folders that contain them, such as a sweep. Each task gets panels of its own.
+        out: Picture to write: .png, .pdf or .svg. A line says so if it replaces a file.
         size: screen, or one column (85 mm) or a whole page (175 mm) of a paper.
-        smooth: Evaluations in the trailing mean that is drawn. 1 draws evaluations as they are, at most 2,000 of a line.
-        published: Draw a panel for each run, with every seed, over the released seeds of the paper in grey.
+        smooth: Number of evaluations in the trailing mean that is drawn. 1 draws each as it is, at most 2,000 a line.
+        published: Draw a panel for each run, with every seed, and the paper's released seeds in grey behind them.
     """
     from earl_jax.report.plots import caption, plot_runs
 
@@ -157,10 +157,10 @@ def table(
     out: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Print the paper's two tables for runs, with the published figures if there are any.
+    """Print the paper's two tables for runs, with the published numbers if there are any.
 
     Args:
-        folders: Run folders, or folders of them, such as those of a sweep.
+        folders: Run folders, or folders that contain them, such as a sweep.
         out: File that also receives the table: .md, .tex or .csv. By default none.
     """
     from earl_jax.metrics.scores import Window
@@ -190,7 +190,7 @@ def best(
     Args:
         folders: Folders of sweeps, or run folders; seeds of the same task, method and options are pooled.
         test: Test of the difference from the best run, adjusted by Holm. The permutation test needs more seeds.
-        top: Number of runs of each task to print; --json has all.
+        top: Number of runs of each task to print; --json prints all.
     """
     from earl_jax.metrics.scores import Window
     from earl_jax.report.best import best as best_runs, best_text
@@ -212,7 +212,7 @@ def compare(
     """Test the differences of deployed scores between runs of a task, or from the published scores.
 
     Args:
-        folders: Run folders, or folders of them; seeds of the same task, method and options are pooled.
+        folders: Run folders, or folders that contain them; seeds of the same task, method and options are pooled.
         against: Compare each pair of runs on a task, or each run with the paper's five seeds at equal steps.
         out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
     """
@@ -242,12 +242,12 @@ def report(
     """Make one self-contained HTML page of runs: curves, tables, every seed, maps, videos, configs and versions.
 
     Args:
-        folders: Run folders, or folders that contain them, such as those of a sweep or of a reproduction.
+        folders: Run folders, or folders that contain them, such as a sweep or a reproduction.
         out: Page to write, .html. An existing page is replaced.
         watch: Write the page again whenever a run changes, until Ctrl-C; a browser reloads it. For a sweep in progress.
         every: Seconds between checks for changes with --watch.
-        videos: Add six seconds of the median seed's policy of each run with policies.npz. This takes some seconds a run,
-            and needs the extra render.
+        videos: Add six seconds of the median seed's policy for each run with policies.npz. This takes some seconds per
+            run and needs the extra render.
     """
     import jax
 

@@ -1,4 +1,4 @@
-"""The command that describes tasks, methods, learners and presets: list. It imports only the classes of other packages."""
+"""The command that describes tasks, methods, learners and presets: list. It imports only classes of other packages."""
 
 import dataclasses
 import textwrap
@@ -16,14 +16,14 @@ from earl_jax.options.values import LARGEST_INT, value_text
 
 WIDTH = 80
 LONGEST = 30
-"""Letters of a name for which the overview has room; a longer one makes its own line longer."""
+"""Number of letters that the overview reserves for a name; a longer name makes its own line longer."""
 MORE = "earl-jax list NAME describes one of them with its options; --json prints all."
 SCORES = ("seeds", "step", "episodes", "deployed/success", "deployed/return")
 NOT_FACTS = ("name", "kind", "options", "learner", "shared", "details", "summary", "values", "policies")
 
 
 def list_(name: Positional[str | None] = None, json: bool = False) -> None:
-    """List the tasks, methods, learners and presets, with those of installed packages, or describe one of them.
+    """List the tasks, methods, learners and presets, including those of installed packages, or describe one of them.
 
     Args:
         name: Task, method, learner or preset to describe with all of its options. By default all are listed.
@@ -52,10 +52,10 @@ def describe_all() -> dict[str, Any]:
 
 
 def describe(kind: str, name: str) -> dict[str, Any]:
-    """Return what a task, method, learner or preset is: sizes or source, policies and options; of a preset its schedule.
+    """Return the description of a task, method or learner (sizes or source, policies, options), or a preset's schedule.
 
-    The steps of a preset are None where they are those of the paper for the task. A task, method or learner whose class
-    cannot be loaded, or that several packages claim, has the key `error` instead.
+    The steps of a preset are None if they are the paper's for the task. A task, method or learner whose class cannot be
+    loaded, or that several packages claim, has the key `error` instead.
     """
     if kind == "preset":
         preset = PRESETS[name]
@@ -103,7 +103,7 @@ def _overview(everything: dict[str, Any]) -> str:
 
 
 def _details(described: dict[str, Any]) -> str:
-    """Return all of the description of one name."""
+    """Return the whole description of one name as text."""
     facts = {key.replace("_", " "): _number(value) for key, value in described.items() if key not in NOT_FACTS}
     facts |= {"steps": facts["steps"] or "published"} if described["kind"] == "preset" else {}
     lines = [f"{described['name']} ({described['kind']})", "", *_wrap(described.get("summary", "")), ""]
@@ -142,7 +142,7 @@ def _options_text(title: str, options: dict[str, Any] | None) -> list[str]:
 
 
 def _cell(value: Any) -> str:
-    """Return `value` as a user writes or reads it."""
+    """Return `value` in the form in which a user would write it."""
     if value is None or value == []:
         return "none"
     if isinstance(value, bool):
@@ -158,7 +158,7 @@ def _number(value: Any) -> Any:
 
 
 def _valid_text(valid: list[str] | str) -> str:
-    """Return the valid values in words; an interval up to the largest int32 has no upper end for a user."""
+    """Return the valid values in words; an interval up to the largest int32 is shown without an upper end."""
     if isinstance(valid, list):
         return f"{', '.join(valid[:-1])} or {valid[-1]}"
     low, _, high = valid[1:-1].partition(", ")

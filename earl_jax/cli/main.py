@@ -32,14 +32,14 @@ FUNCTIONS = (
 )  # fmt: skip
 COMMANDS = {function.__name__.strip("_").replace("_", "-"): readable(function) for function in FUNCTIONS}
 LAUNCHERS = ("sweep", "reproduce")
-"""Commands that leave the files of `--import` to their workers, because a launcher loads no jax."""
+"""Commands that leave the files of `--import` to their workers, because a launcher does not load jax."""
 OPTIONS = argparse.ArgumentParser("earl-jax", add_help=False, allow_abbrev=False)
 OPTIONS.add_argument("--import", metavar="FILE", action="append", default=[], dest="files")
 OPTIONS.add_argument("--traceback", action="store_true")
 NARROWEST = 40
-"""Columns for which the help is laid out at least; with five or fewer, the parser would not end."""
+"""Smallest number of columns for which the help is laid out; with five or fewer, the parser would not terminate."""
 LONGEST = 1800
-"""Characters of an error line at most; a path in it can have thousands."""
+"""Largest number of characters in an error line; a path in it can have thousands."""
 DESCRIPTION = f"""{__doc__}
 
 Every command takes --import FILE, once for each Python file that registers tasks, methods or learners of your own. \
@@ -49,8 +49,8 @@ With --traceback, invalid input prints a traceback instead of one line. --versio
 def main(arguments: list[str] | None = None) -> None:
     """Run one command.
 
-    Invalid input exits with code 2 and a one-line error that gives the cause or the valid choices, or with its traceback
-    if `--traceback` is among the arguments. Errors in the code of a task or a method always keep their traceback.
+    On invalid input the command exits with code 2 and a one-line error that gives the cause or the valid choices, or
+    with the traceback if `--traceback` is given. Errors in the code of a task or a method always keep their traceback.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     options, given = OPTIONS.parse_known_args(arguments)
@@ -79,7 +79,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 @contextlib.contextmanager
 def _complete(stdout: LastingStream, training: bool) -> Iterator[None]:
-    """A context after which the failure of `stdout` is raised; after `training`, whose files are complete, it is a line."""
+    """A context that raises a failure of `stdout` at its end, or prints it after `training`, which is complete then."""
     try:
         yield
     finally:
@@ -94,7 +94,7 @@ def _complete(stdout: LastingStream, training: bool) -> Iterator[None]:
 def _run(arguments: list[str], files: Sequence[str]) -> None:
     """Set up the process, import `files` and run the command in `arguments`.
 
-    On a GPU, jax may take 95 % of the memory instead of its default 75 %, because the replay buffers need it.
+    On a GPU, jax may use 95 % of the memory instead of its default 75 %, because replay buffers need it.
     """
     if arguments == ["--version"]:
         print(f"earl-jax {__version__}")

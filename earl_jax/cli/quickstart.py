@@ -1,4 +1,4 @@
-"""The command that trains a small preset on a laptop's CPU: quickstart, also `make quickstart`."""
+"""The command `quickstart` (also `make quickstart`), which trains a small preset on a laptop's CPU."""
 
 import time
 from pathlib import Path
@@ -7,8 +7,8 @@ from earl_jax.options.presets import preset
 
 ENV, ALGO = "tabletop_organization", "fbrl"
 RANGE = ("0.30", "0.80")
-"""From the worst to the best score of two seeds: pairs of five on one machine, at any end from 160,000 steps on, and two on
-another (0.39 to 0.76), rounded outwards; docs/results.md has the numbers."""
+"""The worst and the best score of two seeds, rounded outwards: pairs of five seeds on one machine, for any end from
+160,000 steps on, and two seeds on another machine (0.39 to 0.76); docs/results.md lists the numbers."""
 EXPECTED = """\
 Expect a score of {low} to {high} after two to seven minutes on two free CPU
 cores. The result depends on the machine, because its rounding decides which of many courses two seeds take.

@@ -22,7 +22,7 @@ def sweep(
     dry_run: bool = False,
     json: bool = False,
 ) -> None:
-    """Train every run of a grid; runs that fit one program share it. After a kill, repeat the command to continue.
+    """Train every run of a grid; runs that fit into one program share it. After a kill, repeat the command to continue.
 
     Args:
         grid: TOML file of tasks, methods and options (docs/sweeps.md).
@@ -84,11 +84,11 @@ def search(
 
     Args:
         space: Sweep file of one task and one method, in which options have distributions (docs/sweeps.md).
-        out: Folder of the runs and of search.journal, which has all trials.
-        trials: Number of options to try.
-        batch: Number of runs that train together, as lanes of one program where only floats differ.
-        rungs: Number of steps at which runs are scored; those below the median end there. 1 lets all run to their end.
-        seed: Random seed of the options; the seeds of training are in the file.
+        out: Folder for the runs and for search.journal, which records all trials.
+        trials: Number of combinations of options to try.
+        batch: Number of runs that train together, as lanes of one program if they differ only in floats.
+        rungs: Number of times at which runs are scored; those below the median end there. 1 lets all runs finish.
+        seed: Random seed of the options; the file gives the seeds of training.
     """
     limit = parse_minutes(minutes)
     from earl_jax.sweeps.search import STATES, TRIALS, search as run_search
@@ -127,8 +127,8 @@ def reproduce(
 
     Args:
         name: Table or figure, or the trade-off of learning against interventions that the conclusion names.
-        scale: smoke trains one task for 120 steps; short, a tenth of the published steps; full, all of them.
-        out: Folder that all tables and figures share for runs and results. runs/reproduce-SCALE by default.
+        scale: smoke trains one task for 120 steps, short a tenth of the published steps, full all of them.
+        out: Folder that all tables and figures share for runs and results. By default runs/reproduce-SCALE.
         tasks: Tasks to include. By default those of the scale.
         seeds: Number of seeds. By default the scale's 2, 3 or 5.
         steps: Training steps of each seed. By default those of the scale.

@@ -55,8 +55,8 @@ def train(
             default 5, or those of --config or --preset.
         steps: Training steps of each seed. By default 100,000, or those of --preset.
         out: New folder for config.json, metrics.csv and checkpoints.
-        config: Run folder or config.json of a run to repeat, instead of a task, a method and options. --seeds takes other
-            seeds. By default none.
+        config: Run folder or config.json of a run to repeat, instead of a task, a method and options. --seeds replaces
+            its seeds. By default none.
         preset: Seeds, schedule and options by name, from `earl-jax list`; other arguments override them. By default none.
         eval_every: Steps between evaluations. By default 10,000, or those of --preset.
         eval_episodes: Greedy episodes of each deployed evaluation. By default 10, or those of --preset.
@@ -66,7 +66,7 @@ def train(
         videos: Number of videos of the first seed's policy, spread evenly over the evaluations, the last one at the end. They
             go to the folder videos in --out and to the loggers of --log. A resumed run continues them. They need the extra
             render. By default none.
-        overwrite: Remove the results of an earlier run in the folder. A folder with other files is refused.
+        overwrite: Remove the results of an earlier run in the folder. A folder with any other files is refused.
     """
     limit = parse_minutes(minutes)
     from earl_jax.runs.hosts import failing_at_once, join_hosts
@@ -118,7 +118,7 @@ def refuse_options(arguments: Sequence[str]) -> None:
 def _by_name(
     env: str | None, algo: str | None, preset: str | None, steps: int | None, options: dict[str, Any]
 ) -> tuple["Env", "Method", "Setting", int, Schedule]:
-    """Return the task, method, setting, number of seeds and schedule of names and `options`."""
+    """Return the task, method, setting, number of seeds and schedule that names and `options` describe."""
     from earl_jax import algos
     from earl_jax.training import api
 
@@ -130,7 +130,7 @@ def _by_name(
 
 
 def _refuse_changes(env: str | None, **given: Any) -> None:
-    """Raise an InputError that names the task `env` or the arguments that are `given`, neither None nor empty."""
+    """Raise an InputError that names the task `env` or those arguments in `given` that are neither None nor empty."""
     changed = [f"--{name.replace('_', '-')}" for name, value in given.items() if value not in (None, ())]
     if env is not None or changed:
         named = ", ".join(changed) or f"the task {env!r}"
@@ -178,7 +178,7 @@ def resume(
 
 
 def _video_logs(count: int | None) -> list["VideoLog"]:
-    """Return the log of `count` videos, if any."""
+    """Return a list with the log that draws `count` videos; empty if there are none."""
     if count is None:
         return []
     from earl_jax.rendering import VideoLog
@@ -187,7 +187,7 @@ def _video_logs(count: int | None) -> list["VideoLog"]:
 
 
 def _emit_result(result: Any, out: Path, as_json: bool) -> None:
-    """Print the score of `result`, if it has an evaluation, and how to continue it after a time limit."""
+    """Print the score of `result`, if it has an evaluation, and after a time limit the command to continue it."""
     values, text = _score(result) if len(result.steps) else ({}, "no evaluation yet")
     values = {"out": str(out), "engine": result.engine, "steps": result.step, **values, "stopped": not result.finished}
     if not result.finished:
@@ -213,7 +213,7 @@ def _score(result: Any) -> tuple[dict[str, Any], str]:
 
 
 def _score_text(curves: "Curves") -> str:
-    """Return the score of `curves` in one line, with that from wide starts and the number of diverged seeds, if any."""
+    """Return the score of `curves` in one line, with the score of wide starts and the number of diverged seeds."""
     from earl_jax.metrics.continuing import diverged_text
     from earl_jax.metrics.deployed import WIDE
 

@@ -1,4 +1,4 @@
-"""The flags of XLA that were measured to help on a GPU, set for commands that train."""
+"""The XLA flags that help on a GPU according to measurements, set for commands that train."""
 
 import os
 import subprocess
@@ -14,10 +14,11 @@ FLAGS = {
     "xla_gpu_graph_enable_concurrent_region": "true",
     "xla_gpu_enable_command_buffer": "+WHILE,+CONDITIONAL",
 }
-"""Values by name. The first flag lets kernels of a CUDA graph run at the same time; the second makes one graph of a whole
-chunk of steps of a task that the device simulates. Measured on an H200, five lanes of tabletop, in docs/performance.md."""
+"""Values by name. The first flag lets kernels of a CUDA graph run at the same time. The second makes one graph of a
+whole chunk of steps if the device simulates the task. Measured on an H200 with five lanes of tabletop
+(docs/performance.md)."""
 TRIAL = "import jaxlib.xla_client as xla; xla.make_cpu_client()"
-"""Code for which XLA reads its flags, in half a second. jax[cuda13] pins the plugin of CUDA to the version of jaxlib."""
+"""Code that makes XLA read its flags, in half a second. jax[cuda13] pins the CUDA plugin to the version of jaxlib."""
 COMMANDS = ("train", "resume", "sweep", "search", "reproduce", "quickstart")
 HELP = {"-h", "--help"}
 
@@ -48,7 +49,7 @@ def trains(arguments: Sequence[str]) -> bool:
 
 
 def helpful_flags(environment: Mapping[str, str]) -> list[str]:
-    """Return the flags to add to XLA_FLAGS of `environment`, as `--name=value`; none without jax's CUDA plugin."""
+    """Return the flags to add to XLA_FLAGS in `environment`, as `--name=value`; none without jax's CUDA plugin."""
     given, platforms = environment.get(VARIABLE, "").split(), environment.get("JAX_PLATFORMS", "")
     names_file = given and not given[0].startswith("-")  # XLA_FLAGS can also name a file of flags
     if names_file or platforms == "cpu" or cuda_plugin() is None:
