@@ -1,4 +1,4 @@
-"""Training: the loop, its state, the programs that run it, and their results."""
+"""Training: the training loop, its state, the programs that run it, and their results."""
 
 from earl_jax.assets import list_pretrained as list_pretrained, pretrained_info as pretrained_info
 from earl_jax.training.api import resume as resume, split_options as split_options, train as train

@@ -1,4 +1,4 @@
-"""Training by name or by object."""
+"""`train` and `resume`: training of tasks and methods that are given by name or as objects."""
 
 import contextlib
 import dataclasses
@@ -52,32 +52,33 @@ def train(
     minutes: float | TimeLimit | None = None,
     **options: Any,
 ) -> Result:
-    """Return the curves and the final state of `algo` on `env`, all seeds in one jitted program.
+    """Train `algo` on `env`, all seeds in one jitted program, and return the `Result`: curves, policies, final state.
 
     Args:
         env: a name of `list_envs()` or an `Env`, which need not be registered.
         algo: a name of `list_algos()`, with its hyper-parameters in `options`, or a `Method`.
         setting: `deployment`, `continuing`, or a `Setting` object with its own interventions and budget.
-        engine: the physics engine of a MuJoCo task: `auto`, `mjx`, `c` or `warp`; by default that of `env`.
-        seeds: the number of seeds (0, 1, ...), a range such as "5:10", or a list of them. The randomness of a seed
-            depends on no other seed; with another number of seeds in the program, its results agree to rounding.
+        engine: the physics engine of a MuJoCo task: `auto`, `mjx`, `c` or `warp`; by default the engine of `env`.
+        seeds: the number of seeds (0, 1, ...), a range such as "5:10", or a list of seeds. The randomness of a seed
+            does not depend on other seeds; its results agree up to rounding if the program trains another number of
+            seeds.
         steps: training steps of each seed.
-        eval_every: steps between evaluations; the last one is at `steps`.
+        eval_every: steps between evaluations; the last evaluation is at `steps`.
         eval_episodes: greedy episodes of each deployed evaluation.
         out: a folder for config, metrics and checkpoints; None writes nothing.
         checkpoint_every: steps between checkpoints in `out`.
         logs: receivers of metrics in addition to metrics.csv: `tensorboard` or `wandb` (written into `out`), or an
             object with `log` and `close`.
-        overwrite: remove the results of an earlier run in `out`, and name them on stderr. A folder with other files
-            than a run's is refused.
+        overwrite: remove the results of an earlier run in `out`, and list them on stderr. A folder that contains files
+            of anything but a run is refused.
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
         devices: the number of devices that share the lanes; by default one, or the devices of all hosts if jax runs on
             several.
-        minutes: a limit of wall-clock time from this call on, compilation included. Training ends after the chunk of
-            steps in which it runs out, at least one, and returns the `Result` so far; with `out`, a checkpoint of that
-            step is saved, and `resume` continues it.
-        options: options of the task, of the setting and of the method by name; a list of a hyper-parameter has a value
-            for each lane. An `env` or a `setting` that is an object has its options already.
+        minutes: a limit of wall-clock time from this call on, compilation included. When the time runs out, training
+            ends after the current chunk of steps and returns the `Result` so far; at least one chunk runs. With `out`,
+            a checkpoint of that step is saved, from which `resume` continues.
+        options: options of the task, the setting and the method by name. A hyper-parameter can be a list with a value
+            for each lane. Options of an `env` or a `setting` that is an object must be set in the object.
 
     Raises:
         ValueError: a name or an option is unknown, or numbers are inconsistent; the message gives the cause.
@@ -102,7 +103,7 @@ def train(
 
 
 def _method_of(env: Env, algo: str | Method, options: dict[str, Any]) -> Method:
-    """Return the method named `algo` on `env` with its `options`, or an object, which takes none. Errors as `train`."""
+    """Return the method named `algo` for `env` with its `options`, or `algo` if it is an object. Errors as `train`."""
     if isinstance(algo, str):
         return method_for(env, algo, **options)
     if options:
@@ -113,11 +114,11 @@ def _method_of(env: Env, algo: str | Method, options: dict[str, Any]) -> Method:
 
 
 def _warn_of_scale(env: Env, method: Method) -> None:
-    """Warn if a method that was passed as an object has the learner's default as its reward scale, and `env` another one."""
+    """Warn if a method that was passed as an object has its learner's default reward scale, and `env` has another."""
     default, own = type(method.learner).reward_scale, env.reward_scale
     if own != default and has_default_scale(method.learner):
-        scales = f"reward_scale is {default:g}, the learner's default, and that of {env.name} is {own:g}"
-        warn(f"{scales}, which earl_jax.method_for takes")
+        scales = f"reward_scale is {default:g}, the learner's default, but {env.name} has {own:g}"
+        warn(f"{scales}; make the method with earl_jax.method_for to use that")
 
 
 @package_types()
@@ -133,25 +134,24 @@ def resume(
     minutes: float | TimeLimit | None = None,
     logs: Sequence[Log] = (),
 ) -> Result:
-    """Return the result of the run in `folder`, trained from its newest intact checkpoint to its end.
+    """Train the run in `folder` from its newest intact checkpoint to its end, and return its `Result`.
 
     On a CPU, the result is bit-identical to that of an uninterrupted run, because the same program runs. The same seed
-    in a program with another number of lanes agrees to rounding.
+    in a program with another number of lanes agrees up to rounding.
 
     Args:
         folder: a run folder.
-        env: the task, with the options of the run, for a run that was trained on an object of a class that is not
-            registered.
-        algo: the method, likewise.
-        steps: a new number of training steps.
+        env: the task with the options of the run; needed only if its class is not registered.
+        algo: the method with the options of the run; needed only if its class is not registered.
+        steps: a new total number of training steps; by default the run keeps its own.
         progress: show a progress bar; if stderr is not a terminal, print a line per evaluation.
         devices: the number of devices that share the lanes.
         minutes: a limit of wall-clock time, as in `train`; it counts from this call on.
-        logs: objects that receive the metrics, besides those of the run that it names in `train`.
+        logs: objects that receive the metrics, in addition to the logs that `train` was given by name.
 
     Raises:
         ValueError: `folder` is not a run folder or is damaged, rows of its metrics are missing, its checkpoints were
-            removed, or the run's objects have other options or are neither registered nor passed.
+            removed, `env` or `algo` has other options than the run, or its class is neither registered nor passed.
     """
     require_jax()
     for noun, given, kind in (("task", env, Env), ("method", algo, Method)):
@@ -162,7 +162,7 @@ def resume(
     step = opened.require_resumable().step  # rather than after the training
     require_checkpoint(opened, step)
     if not isinstance(logs, Sequence) or any(isinstance(log, str) for log in logs):
-        raise InputError(f"resume takes a list of logs as objects, not {brief(logs)}: names belong to train")
+        raise InputError(f"resume takes a list of log objects, not {brief(logs)}; logs named in train continue anyway")
     check_logs([*opened.logs, *logs])
     config = opened.config if steps is None else _extended(opened, steps, step)
     task = None if env is None else without_budget(env)
@@ -173,14 +173,14 @@ def resume(
 
 
 def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
-    """Return the config of a run, whose metrics end at `step`, with `steps` steps; an InputError if these do not fit."""
+    """Return the config of a run that is at `step` with the new length `steps`; an InputError if that is unfit."""
     require("steps", steps, COUNT)
     reached, every = max(step, newest(folder.checkpoints)), folder.config.eval_every
     if steps < reached:
         raise InputError(f"{folder.path} has {reached} steps already, more than {steps}")
     if steps % every:
         raise InputError(
-            f"steps {steps} is not a multiple of {every}, the run's eval_every; take {-(-steps // every) * every}"
+            f"steps {steps} is not a multiple of {every}, the run's eval_every; choose {-(-steps // every) * every}"
         )
     if steps < folder.config.steps:
         warn(f"{folder.path} now ends at step {steps:,} instead of {folder.config.steps:,}")
@@ -188,9 +188,9 @@ def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
 
 
 def require_checkpoint(folder: RunFolder, step: int) -> None:
-    """Raise an InputError if the checkpoints of a run, whose metrics end at `step`, were removed: it would train again.
+    """Raise an InputError if the checkpoints of a run whose metrics end at `step` were removed: it would start anew.
 
-    A run that ended before its first checkpoint is trained again, and a `RunWarning` says so.
+    If the run ended before its first checkpoint, training does start anew, and a `RunWarning` says so.
     """
     if newest(folder.checkpoints):
         return
@@ -230,7 +230,7 @@ def _warn_of_faults(run: Run) -> None:
 def _create_folder(
     out: str | Path | None, run: Run, engine: str, logs: Sequence[str | Log], overwrite: bool
 ) -> RunFolder | None:
-    """Return the new folder of a run, or None without `out`; raise a ValueError before if a log can't be opened."""
+    """Return the new folder of a run, or None without `out`; raise a ValueError beforehand if a log can't be opened."""
     check_logs(logs)
     names = tuple(log for log in logs if isinstance(log, str))
     if out is None:
@@ -244,7 +244,7 @@ def _create_folder(
 
 
 def split_options(env: str | Env, options: dict[str, Any]) -> tuple[Env, Setting, dict[str, Any]]:
-    """Return the environment of the task `env`, its setting (`setting` in `options`) and the method's options.
+    """Return the environment of the task `env`, the setting (`setting` in `options`), and the method's options.
 
     Raises:
         ValueError: the task or the setting is unknown, or one of their options is invalid.
@@ -276,7 +276,7 @@ def split_options(env: str | Env, options: dict[str, Any]) -> tuple[Env, Setting
 
 
 def _require_plain(owner: Env | Setting) -> None:
-    """Raise an InputError that names a field of `owner` with an array or a list: a program is looked up by its values."""
+    """Raise an InputError that names a field of `owner` whose value has no hash, by which jax looks up a program."""
     for field in dataclasses.fields(owner):
         value = getattr(owner, field.name)
         try:
@@ -286,6 +286,6 @@ def _require_plain(owner: Env | Setting) -> None:
 
 
 def _taken(options: dict[str, Any], owner: Any) -> dict[str, Any]:
-    """Remove from `options` those that are fields of the dataclass `owner`, and return them."""
+    """Remove the fields of the dataclass `owner` from `options`, and return them."""
     fields = {field.name for field in dataclasses.fields(owner)}
     return {name: options.pop(name) for name in list(options) if name in fields}

@@ -1,4 +1,4 @@
-"""The demonstrations of a task as a method uses them: rows of the replay that controllers sample, and steps to clone."""
+"""The demonstrations of a task in the forms that a method uses: rows of the replay to sample, and steps to clone."""
 
 from typing import NamedTuple
 
@@ -15,8 +15,8 @@ from earl_jax.training.state import Problem
 class DemoRows(NamedTuple):
     """Demonstrations in the layout of replay rows.
 
-    `states [R, s]`. The other fields belong to T demonstrated transitions, once for each controller that samples them:
-    their `rows [T]`, `actions [T, a]`, `goals [T]`, `controllers [T]`, and `copies [T]` in the replay's lists.
+    `states [R, s]`. The other fields describe T demonstrated transitions, once for each controller that samples them:
+    `rows [T]`, `actions [T, a]`, `goals [T]`, `controllers [T]`, and the number of `copies [T]` in the replay's lists.
     """
 
     states: np.ndarray
@@ -33,7 +33,7 @@ class DemoRows(NamedTuple):
 
 
 def demo_rows(problem: Problem, method: Method) -> DemoRows:
-    """Return the demonstrations in the initial replay of `method`, without a row if the task has none of its directions.
+    """Return the demonstrations in the initial replay of `method`: no rows if the task lacks the method's directions.
 
     Raises:
         ValueError: the method needs demonstrations, and the task has none or its states cannot be goals.
@@ -71,7 +71,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
 
 
 def _uses(method: Method) -> list[tuple[int, PhaseDemos]]:
-    """Return the controllers of `method` with the demonstrations that they use, those of its phases or, by option, all."""
+    """Return the controllers of `method` with their demonstrations: those of their phases or, with `all_demos`, all."""
     uses = [(phase.controller, demos) for phase in method.phases for demos in phase.demos]
     if not method.learner.all_demos:
         return uses
@@ -91,7 +91,7 @@ def demo_steps(problem: Problem, method: Method) -> DemoSteps | None:
 
 
 def _goal_indices(problem: Problem, goals: np.ndarray) -> np.ndarray:
-    """Return the goal table's indices [T] of demonstrated goals [T, g], which are task goals or initial states."""
+    """Return indices [T] into the goal table for demonstrated goals [T, g], which are task goals or initial states."""
     known = problem.goals.table[: problem.goals.tasks + problem.goals.initials]
     distance = np.abs(goals[:, None] - known[None]).max(axis=-1)
     if distance.min(axis=1).max() > 1e-6:

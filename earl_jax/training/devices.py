@@ -1,7 +1,7 @@
 """Lanes on several devices of one or more hosts: every device runs the same program on its own lanes.
 
 Lanes do not communicate, so programs are mapped explicitly (`shard_map`) and contain no collectives. Automatic
-partitioning would gather the replay, which is indexed by lane.
+partitioning would gather the replay, because it is indexed by lane.
 """
 
 from collections.abc import Callable
@@ -43,8 +43,8 @@ def lane_mesh(devices: int | None, lanes: int) -> Mesh | None:
     The default is one device, or all devices of all processes if there are several processes.
 
     Raises:
-        ValueError: there are fewer devices, they are not of all hosts, or `lanes` don't divide over them; the message
-            gives numbers that would fit.
+        ValueError: there are fewer devices, some hosts have none of them, or `lanes` can't be divided over them; the
+            message gives numbers that would fit.
     """
     available = jax.devices()
     default = len(available) if jax.process_count() > 1 else 1
@@ -60,15 +60,15 @@ def lane_mesh(devices: int | None, lanes: int) -> Mesh | None:
         )
     chosen, hosts = available[:count], jax.process_count()
     if len({device.process_index for device in chosen}) < hosts:
-        raise InputError(f"the first {count} of {len(available)} devices are not on all {hosts} hosts: take more")
+        raise InputError(f"the first {count} of {len(available)} devices are not on all {hosts} hosts: request more")
     return None if count == 1 else jax.make_mesh((count,), ("lanes",), axis_types=(AxisType.Auto,), devices=chosen)
 
 
 def mapped(function: Callable, mesh: Mesh | None, in_specs: Any, out_specs: Any) -> Callable:
     """Return `function` mapped over the devices of `mesh`, or `function` itself without a mesh.
 
-    `in_specs`, one for each argument, and `out_specs` are partition specs or trees of them, as `shard_map` takes them.
-    Empty arrays stay outside: XLA for GPUs (jaxlib 0.11) crashes on them on several devices.
+    `in_specs`, one for each argument, and `out_specs` are partition specs or trees of them, as for `shard_map`. Empty
+    arrays are kept out of the mapping: XLA for GPUs (jaxlib 0.11) crashes on them with several devices.
     """
     if mesh is None:
         return function
@@ -89,7 +89,7 @@ def mapped(function: Callable, mesh: Mesh | None, in_specs: Any, out_specs: Any)
 
 
 def placed(tree: Any, mesh: Mesh | None, specs: Any = LANES) -> Any:
-    """Return the arrays of `tree`, which every host has in full, on the devices of `mesh` by `specs`.
+    """Return the arrays of `tree`, which every host holds in full, placed on the devices of `mesh` by `specs`.
 
     `specs` is a partition spec, or a tree of them. Without a mesh, the arrays go to the default device.
     """
@@ -105,7 +105,7 @@ def _without_empty(tree: Any) -> Any:
 
 
 def _with_empty(tree: Any, shapes: Any) -> Any:
-    """Return `tree` with the arrays of `shapes` that have no elements, which `_without_empty` has removed."""
+    """Return `tree` with the empty arrays that `_without_empty` removed, recreated from `shapes`."""
     return jax.tree.map(lambda shape, leaf: leaf if shape.size else jnp.zeros(shape.shape, shape.dtype), shapes, tree)
 
 

@@ -26,7 +26,7 @@ from earl_jax.training.state import LaneState, Problem, TrainState
 
 
 def evaluate_lanes(problem: Problem, method: Method, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Return the state with a new window, and the metrics [N] of both of the paper's evaluations and of the life."""
+    """Return the state, with a new window begun, and the metrics [N] of the paper's two evaluations and of the life."""
     lanes, metrics = jax.vmap(lambda m, lane: _evaluate_lane(problem, m, lane, state.step))(method, state.lanes)
     return state.replace(lanes=lanes), metrics
 
@@ -46,7 +46,7 @@ def _evaluate_lane(
 
 
 def _own_metrics(method: Method, lane: LaneState, taken: set[str]) -> dict[str, jax.Array]:
-    """Return the scalars of the learner and the method; an InputError if one is no scalar, or its column is `taken`."""
+    """Return the scalars of learner and method; an InputError if one is not a scalar, or its column is `taken`."""
     state = lane.method_state
     of_method = state.get("metrics", {}) if isinstance(state, dict) else getattr(state, "metrics", {})
     if not isinstance(of_method, dict):
@@ -79,13 +79,13 @@ def evaluate(
         episodes: the number of greedy episodes of H_E steps for each seed's policy.
         seed: the seed of starts and goals, which are the same for all policies.
         engine: a physics engine to use instead of the run's own.
-        starts: `initial` for s0 ~ rho, `uniform` over the whole workspace (figure 4 of the paper), or `wide` for those
-            of the column `deployed/success_wide`, if the task has them.
-        pairs: `random`, or `balanced` for every pair of start and task goal equally often; by default as in the run,
-            whose setting has `eval_pairs`. Other `starts` than `initial` are random.
+        starts: `initial` for s0 ~ rho, `uniform` over the whole workspace (figure 4 of the paper), or `wide` for the
+            starts of the column `deployed/success_wide`, if the task has them.
+        pairs: `random`, or `balanced` to use every pair of start and task goal equally often; by default the
+            `eval_pairs` of the run's setting. With other `starts` than `initial`, pairs are always random.
 
     Raises:
-        ValueError: `folder` is not a run folder, it has no policies or they are damaged, or the task has no such starts.
+        ValueError: `folder` is not a run folder, it has no policies or damaged ones, or the task has no such starts.
     """
     require_jax()
     if isinstance(folder, Env) or callable(folder):
@@ -111,5 +111,5 @@ def _pairs_of(run: RunFolder, starts: str, pairs: str | None) -> str:
         return run.config.build_setting().eval_pairs if starts == STARTS[0] else EVAL_PAIRS[0]
     require_known("pairs", pairs, EVAL_PAIRS)
     if starts != STARTS[0] and pairs != EVAL_PAIRS[0]:
-        raise InputError(f"{pairs} pairs are those of the task's own starts, not of {starts} ones")
+        raise InputError(f"{pairs} pairs need the task's own starts (initial), not {starts} ones")
     return pairs

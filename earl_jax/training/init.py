@@ -25,7 +25,7 @@ def init_train_state(
 ) -> TrainState:
     """Return N lanes at step 0 of `steps` from PRNG keys [N]; leaves of `method` and `rules` have a leading lane axis.
 
-    Without `rules`, every lane has those of the problem's protocol.
+    Without `rules`, every lane uses the rules of the problem's protocol.
     """
     if rules is None:
         rules = jax.tree.map(lambda rule: jnp.full(keys.shape[0], rule), problem.protocol.rules)
@@ -76,7 +76,7 @@ def _init_agents(problem: Problem, method: Method, key: jax.Array) -> Any:
 
 
 def check_lanes(problem: Problem, method: Method, state: TrainState) -> None:
-    """Raise an InputError if a lane of `state` has no valid goals of `next_goal`, or starts from values that are not finite."""
+    """Raise an InputError if a lane of `state` has invalid goals from `next_goal`, or values that are not finite."""
     lanes, goals, env = state.lanes, problem.goals, problem.env
     for name, indices in gathered(lanes.goal_indices)._asdict().items():
         count = goals.tasks if name == "task" else len(goals.table)
@@ -93,8 +93,8 @@ def check_lanes(problem: Problem, method: Method, state: TrainState) -> None:
 def empty_replay(problem: Problem, method: Method, lanes: int, steps: int) -> Replay:
     """Return the replay of `lanes` lanes for the demonstrations and `steps` steps, with all of its rows free.
 
-    If it keeps fewer of them, it evicts transitions. Then one row more holds the state after the newest one, and its
-    lists have a place for each of the other rows for each controller.
+    If the replay keeps fewer steps than that, it evicts transitions. It then has one more row for the state after the
+    newest transition, and the list of each controller has a place for every other row.
     """
     env, demos, most = problem.env, demo_rows(problem, method), kept_transitions(method)
     rows, listed = len(demos.states), int(demos.copies.sum())

@@ -20,7 +20,7 @@ from earl_jax.training.state import Problem, TrainState, Warmup
 def lifetime(
     problem: Problem, method: Method, keys: jax.Array, steps: int | None = None
 ) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Return the final train state and the metrics [N, E] of whole lifetimes of `steps` steps, without side effects.
+    """Return the final train state and the metrics [N, E] of lifetimes of `steps` steps, without side effects.
 
     `jax.jit(lifetime)(problem, method, keys)` is one program for each problem.
 
@@ -33,7 +33,7 @@ def lifetime(
 
     Raises:
         ValueError: `problem` or `method` is another object, such as a name; `steps` is missing, traced or inconsistent
-            with the protocol; `keys` does not have one axis; or as in `check_method` and `make_plan`.
+            with the protocol; `keys` does not have exactly one axis; or `check_method` or `make_plan` raises it.
     """
     require_object("problem", problem, Problem, or_name=False)
     require_object("method", method, Method, or_name=False)
@@ -66,8 +66,8 @@ def _static_steps(problem: Problem, steps: int | None) -> int:
 def _window(plan: Plan, method: Method, state: TrainState) -> tuple[TrainState, dict[str, jax.Array]]:
     """Return the state after the next evaluation, and its metrics [N].
 
-    Steps of the warm-up and steps that learn are one piece of the program, because XLA takes seconds to compile the
-    physics of each piece on MJX.
+    Warm-up steps and learning steps share one piece of the program, because XLA takes seconds to compile the physics of
+    each piece on MJX.
     """
     chunks = plan.problem.protocol.eval_every // plan.chunk_steps
 

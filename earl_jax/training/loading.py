@@ -33,7 +33,7 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
 
 
 def policies_at(folder: RunFolder) -> int:
-    """Return the step of the newest task policies of a run folder, 0 without any. Errors as `load_policies`."""
+    """Return the step of the newest task policies of a run folder; 0 without policies. Errors as `load_policies`."""
     return max(policies.policies_step(folder.policies), newest(folder.checkpoints))
 
 
@@ -41,9 +41,9 @@ def policies_at(folder: RunFolder) -> int:
 def load_policies(folder: RunFolder) -> Policy:
     """Return the newest task policies of a run folder, one policy with leaves [N].
 
-    After training with a budget for help, they are policies for the task without help. They are those of policies.npz or
-    of the newest checkpoint, whichever is newer. Those of policies.npz need neither the class of the method nor, without
-    a budget, that of the task.
+    After training with a budget for help, they are policies for the task without help. They come from policies.npz or
+    from the newest checkpoint, whichever is newer. Loading policies.npz requires neither the class of the method nor,
+    without a budget, the class of the task.
 
     Raises:
         ValueError: the folder has neither, or the newer one is damaged.
@@ -87,9 +87,9 @@ def _sizes(folder: RunFolder) -> tuple[int, int, int | None]:
 
 
 def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:
-    """Return the env of a run folder and the newest maps of visits [N, B, B] of its seeds, None where it has no map.
+    """Return the env of a run folder and the newest maps of visits [N, B, B] of its seeds; None if the task has no map.
 
-    They are those of policies.npz or of the newest checkpoint, whichever is newer.
+    The maps come from policies.npz or from the newest checkpoint, whichever is newer.
 
     Raises:
         ValueError: the folder has neither, or the newer one is damaged.
@@ -106,7 +106,7 @@ def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:
 
 
 def shapes_of(folder: RunFolder, steps: int = 1) -> tuple[Env, Method, TrainState]:
-    """Return the env, method [N] and the shapes of the train state of a run folder, with a replay of so many `steps`."""
+    """Return the env, method [N] and the shapes of the train state of a run folder, with a replay for `steps` steps."""
     config = folder.config
     env, method = config.build_env(), per_lane(config.build_method(), len(config.seeds))
     problem = Problem(env, config.protocol(env))

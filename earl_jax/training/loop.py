@@ -1,8 +1,8 @@
 """The one reset-free training step, for every method and all lanes at once.
 
-It reads as `start -> update -> finish -> store`, and for one lane as `act -> env.start_step -> learn(prepare(sample)) ->
-env.finish_step -> rules`. The functions of one lane are vmapped. Between them the replay is read and written unbatched,
-because it is one buffer. The gradient step of a control step samples transitions that were stored before it, so that the
+The order is `start -> update -> finish -> store`, and for one lane `act -> env.start_step -> learn(prepare(sample)) ->
+env.finish_step -> rules`. Functions of one lane are vmapped. Between them the replay is read and written unbatched,
+because it is one buffer. The gradient step of a control step samples only transitions stored before it, so that the
 host can simulate while the accelerator learns. The released code has the same delay, due to a prefetched dataset.
 """
 
@@ -37,14 +37,14 @@ from earl_jax.training.state import LaneState, Problem, StepKeys, TrainState, Wa
 
 
 class Started(NamedTuple):
-    """The control steps that all lanes have started: their actions [N, a], and what `Env.finish_step` takes."""
+    """The control steps that all lanes have started: their actions [N, a], and what `Env.finish_step` needs."""
 
     action: jax.Array
     pending: PendingStep
 
 
 Stored = tuple[Transition, jax.Array, jax.Array]
-"""What the replay stores of a step of all lanes: the last arguments of its `write`."""
+"""What the replay stores for one step of all lanes: the last arguments of `replay.write`."""
 
 
 def train_step(
@@ -55,10 +55,10 @@ def train_step(
     warmup: Warmup,
     batch: TransitionBatch | None = None,
 ) -> TrainState:
-    """Return all lanes one step later: act, store and, unless `warmup`, take a gradient step on earlier transitions.
+    """Return all lanes one step later: act, store and, unless `warmup`, make a gradient step on earlier transitions.
 
-    The float leaves of `method` and the `keys` have a leading lane axis. `batch` are the transitions of `sample`, which
-    are drawn here if they are not given.
+    The float leaves of `method` and the `keys` have a leading lane axis. `batch` contains the transitions of `sample`;
+    if it is None, they are drawn here.
     """
     started = start(problem, method, state.lanes, keys, warmup, state.step)
     if warmup is not True:
@@ -69,7 +69,7 @@ def train_step(
 def start(
     problem: Problem, method: Method, lanes: LaneState, keys: StepKeys, warmup: Warmup, step: jax.Array
 ) -> Started:
-    """Return the control steps that the `lanes` start with their actions at `step []`."""
+    """Return the control steps that the `lanes` start at `step []`, with their actions."""
     act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, warmup, step))
     return Started(*act(method, lanes, keys.act))
 
@@ -83,7 +83,7 @@ def update(
     warmup: Warmup,
     batch: TransitionBatch | None = None,
 ) -> tuple[TrainState, Started]:
-    """Return the state after a gradient step of each lane, and the `started` steps, which can be finished after it."""
+    """Return the state after a gradient step of each lane, and the `started` steps, to be finished afterwards."""
     if batch is None:
         state, batch = sample(method, state, keys.sample)
     learn_lane = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, state.step))
@@ -96,7 +96,7 @@ def update(
 def finish(
     problem: Problem, method: Method, state: TrainState, started: Started, keys: StepKeys
 ) -> tuple[LaneState, Stored]:
-    """Return the lanes of `state` after the steps that they have `started`, and what the replay stores of them."""
+    """Return the lanes of `state` after the steps that they have `started`, and what the replay stores for them."""
     controller = controller_of(method, state.lanes.phase)
     finish_lane = jax.vmap(lambda m, lane, *moved: finish_step(problem, m, lane, *moved, step=state.step))
     lanes, transition, sampleable = finish_lane(method, state.lanes, *started, keys)
@@ -104,7 +104,7 @@ def finish(
 
 
 def store(state: TrainState, lanes: LaneState, stored: Stored) -> TrainState:
-    """Return the state one step later, with the `lanes` of `finish` and the transitions that it wants `stored`."""
+    """Return the state one step later, with the `lanes` and the `stored` transitions that `finish` returned."""
     return TrainState(lanes, replay_lib.write(state.replay, *stored), state.step + 1)
 
 
@@ -178,7 +178,7 @@ def learn(
 
 
 def batch_of(problem: Problem, learner: Learner, sampled: TransitionBatch, step: jax.Array) -> Batch:
-    """Return the `sampled` transitions as a learner takes them."""
+    """Return the `sampled` transitions in the form that a learner receives."""
     flags = sampled.flags
     goal = jnp.asarray(problem.goals.table)[flags.goal] if sampled.goal is None else sampled.goal
     return Batch(
@@ -202,7 +202,7 @@ def finish_step(
     keys: StepKeys,
     step: jax.Array,
 ) -> tuple[LaneState, Transition, jax.Array]:
-    """Return the lane after its `pending` control step number `step`, from 0, the transition, and whether it is sampleable."""
+    """Return the lane after its `pending` step number `step` (from 0), the transition, and if that can be sampled."""
     env, table = problem.env, jnp.asarray(problem.goals.table)
     env_state = env.finish_step(lane.env_state, pending)
     earned = env.goal_reward(env_state, table[lane.goal_indices.task])
@@ -227,7 +227,7 @@ def finish_step(
 def _attempt(
     problem: Problem, method: Method, lane: LaneState, earned: jax.Array, key: jax.Array, step: jax.Array
 ) -> Attempt:
-    """Return the attempt of a step whose reward for the task goal is `earned []`."""
+    """Return the attempt to which a step with the task reward `earned []` belongs."""
     key, moment = jax.random.fold_in(key, 2), _moment(lane, step)
     expires = method.ends_phase(key, problem.env, lane.agent, lane.env_state.obs, moment, lane.method_state)
     require_result(f"{method.name}: what ends_phase returns", expires, (), "bool")
@@ -261,7 +261,7 @@ def _transition(
 def _is_sampleable(method: Method, lane: LaneState, end: StepEnd) -> jax.Array:
     """Return whether a transition can be sampled, bool [].
 
-    It cannot after a fault or after the end of the lifetime, or if its target needs a successor that was not stored.
+    It cannot after a fault or after the end of the lifetime, nor if its target needs a successor that was not stored.
     """
     bootstrapped = end.timeout & jnp.asarray(method.learner.timeout_bootstrap, bool)
     return ~(end.env_reset & bootstrapped) & ~end.fault & ~(lane.env_state.done > 0)
@@ -270,7 +270,7 @@ def _is_sampleable(method: Method, lane: LaneState, end: StepEnd) -> jax.Array:
 def _next_goals(
     problem: Problem, method: Method, lane: LaneState, phase: jax.Array, key: jax.Array, end: StepEnd
 ) -> GoalIndices:
-    """Return the goals after a step; if the environment sets goals, the method can only draw that task goal."""
+    """Return the goals after a step; if the environment sets task goals, the method can only draw that one."""
     env_sets = lane.rules.goal_change > 0
     drawn = problem.goals.draw_task(jax.random.fold_in(key, 1))
     requested = jnp.where(end.goal_changes, drawn, lane.goal_indices.task)
@@ -287,7 +287,7 @@ def _moment(lane: LaneState, step: jax.Array) -> Moment:
 
 
 def _with_controller(stacked: Any, single: Any, index: jax.Array) -> Any:
-    """Return the `stacked` tree with one controller replaced, by a select: XLA makes a loop or a kernel of each scatter."""
+    """Return the `stacked` tree with one controller replaced, by a select: XLA makes loops or kernels of scatters."""
 
     def put(leaf, value):
         chosen = jnp.arange(len(leaf)).reshape(-1, *[1] * value.ndim) == index

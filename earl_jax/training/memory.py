@@ -21,10 +21,10 @@ from earl_jax.training.init import empty_replay, init_train_state
 from earl_jax.training.state import Problem, TrainState
 
 ACTIVATIONS = 1.5
-"""Numbers in memory during a gradient step for each row of the batch and each output of a layer in the agent, with its
+"""Numbers in memory during a gradient step per row of the batch and per layer output in the agent, including its
 targets and Adam's moments; measured: 1.0 to 1.3 with SAC (temporary_mb of benchmarks/results/speed)."""
 RUNTIME = 450_000_000
-"""Bytes that a process on a CPU takes to compile and run a small program, beside the estimate; measured."""
+"""Bytes that a process on a CPU needs to compile and run a small program, in addition to the estimate; measured."""
 GIGABYTE = 1e9
 PROC, GROUPS = Path("/proc"), Path("/sys/fs/cgroup")
 
@@ -77,12 +77,12 @@ def estimate(problem: Problem, method: Method, lanes: int, steps: int) -> Memory
 
 @functools.partial(jax.jit, static_argnames=("problem", "steps"))
 def _one_lane(problem: Problem, method: Method, key: jax.Array, steps: int) -> TrainState:
-    """Return the first train state of a lane; under `jit`, so that Python traces it once for all runs of a problem."""
+    """Return the first train state of a lane, under `jit` so that Python traces it once for all runs of a problem."""
     return init_train_state(problem, method, key[None], steps)
 
 
 def _layer_outputs(agent: Any) -> int:
-    """Return the number of outputs of all layers in `agent`, the leaves that flax calls `kernel`."""
+    """Return the number of outputs of all layers in `agent`, counted from the leaves that flax calls `kernel`."""
     leaves = jax.tree_util.tree_leaves_with_path(agent)
     kernels = [leaf for path, leaf in leaves if "kernel" in jax.tree_util.keystr(path[-1:])]
     return sum(math.prod(kernel.shape) // kernel.shape[-2] for kernel in kernels)
@@ -101,8 +101,8 @@ def programs_per_device() -> int:
 def free_bytes(device: Any) -> int | None:
     """Return the bytes that are free on `device` for this process, or None if that is unknown.
 
-    Of a GPU's memory, jax gives each process the fraction in `FRACTION`. Programs that share a CPU get equal shares of
-    the machine's memory, or of the least limit of their control groups, which also holds the process itself.
+    On a GPU, jax gives each process the fraction `FRACTION` of the memory. Programs that share a CPU get equal shares
+    of the machine's memory, or of the lowest limit of their control groups, which includes the process itself.
     """
     stats = device.memory_stats()
     if stats and "bytes_limit" in stats:
@@ -116,7 +116,7 @@ def free_bytes(device: Any) -> int | None:
 
 
 def _group_limits() -> list[int]:
-    """Return the limits of memory of the control groups, of version 1 or 2, that this process is in."""
+    """Return the memory limits of the control groups (version 1 or 2) to which this process belongs."""
     limits, groups = [], PROC / "self/cgroup"
     for line in groups.read_text().splitlines() if groups.is_file() else []:
         _, kinds, name = line.split(":", 2)
@@ -129,7 +129,7 @@ def _group_limits() -> list[int]:
 
 
 def _counted(file: str, name: str) -> int:
-    """Return the bytes of the line `name` in a `file` of the system, which counts kB; 0 without the line."""
+    """Return the bytes in the line `name` of the system's `file`, which counts in kB; 0 without such a line."""
     found = re.search(rf"^{name}:\s+([0-9]+) kB", (PROC / file).read_text(), re.MULTILINE)
     return 1024 * int(found[1]) if found else 0
 
@@ -138,8 +138,7 @@ def require(needed: MemoryEstimate, mesh: Mesh | None = None) -> None:
     """Check that a program fits into the memory of one device, or of the devices of `mesh`.
 
     Raises:
-        ValueError: the lanes of one device need more memory than it has free; the message gives the number that would
-            fit.
+        ValueError: the lanes of one device need more memory than is free there; the message says how many would fit.
     """
     devices = [jax.devices()[0]] if mesh is None else mesh.local_devices
     count = 1 if mesh is None else mesh.size

@@ -24,8 +24,8 @@ from earl_jax.training.state import Problem
 Options = TypeVar("Options")
 
 LONGEST_CHUNK = 1000
-"""Steps of a jitted call at most, since signals and limits wait for its end: half a minute of five lanes with the paper's
-networks on two CPU cores."""
+"""Largest number of steps in a jitted call, because signals and time limits wait for its end: half a minute for five
+lanes with the paper's networks on two CPU cores."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,12 +59,12 @@ class Plan:
 def make_plan(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
     """Return the plan of a program with `lanes` lanes on `devices` devices, as in `lane_mesh`.
 
-    A `RunWarning` says so if the method learns in none of the `steps`, if the chunks make its refreshes more frequent, or
+    A `RunWarning` is issued if the method does not learn within `steps`, if chunks make its refreshes more frequent, or
     if options have no effect.
 
     Raises:
-        ValueError: `steps` is no multiple of the protocol's `eval_every`, a task lacks the demonstrations that a method
-            needs, the lanes don't divide over the devices, or the program does not fit into their memory.
+        ValueError: `steps` is not a multiple of the protocol's `eval_every`, the task lacks demonstrations that the
+            method needs, the lanes can't be divided over the devices, or the program does not fit into their memory.
     """
     every = problem.protocol.eval_every
     require_whole_windows(steps, every)
@@ -83,7 +83,7 @@ def _surprises(problem: Problem, method: Method, steps: int, chunk: int) -> Iter
     learner, every, refresh = method.learner, problem.protocol.eval_every, method.refresh_every
     random = learner.random_steps
     if random >= steps:
-        yield f"nothing is learnt: random_steps is {random:,}, and the run has {steps:,} steps"
+        yield f"nothing is learnt: random_steps is {random:,}, and the run has only {steps:,} steps"
     elif refresh and chunk % refresh:
         yield (
             f"{method.name} refreshes every {math.gcd(chunk, refresh):,} steps, not every {refresh:,}: refresh_every does not "
@@ -100,7 +100,7 @@ def _surprises(problem: Problem, method: Method, steps: int, chunk: int) -> Iter
 
 
 def _unused(options: Any, preset: Any) -> Iterator[str]:
-    """Yield which fields of `options` differ from `preset`, or else their default, though another one's value disables them."""
+    """Yield a warning for each field that differs from `preset`, or its default, though another field disables it."""
     for field in dataclasses.fields(options):
         value, default = getattr(options, field.name), getattr(preset, field.name, field.default)
         for name, off in field.metadata.get("unless", {}).items():
@@ -110,19 +110,19 @@ def _unused(options: Any, preset: Any) -> Iterator[str]:
 
 
 def _is_positive(option: Any) -> bool:
-    """Return whether an `option` is given and positive in a lane, as far as no trace hides it."""
+    """Return whether an `option` is given and positive in any lane; False if it is traced."""
     return option is not None and not isinstance(option, Tracer) and np.max(option) > 0
 
 
 def _all_equal(option: Any, value: Any) -> bool:
-    """Return whether an `option` has the `value` in all lanes, up to float32, as far as no trace hides it."""
+    """Return whether an `option` has the `value` in all lanes, up to float32 rounding; False if it is traced."""
     if isinstance(option, Tracer) or option is None or value is None:
         return option is value
     return np.allclose(option, value, rtol=1e-6, atol=0.0)
 
 
 def per_lane(options: Options, lanes: int) -> Options:
-    """Return a method, or a learner, with every float leaf as an array [lanes]; a leaf of that shape keeps its values.
+    """Return a method or a learner with every float leaf broadcast to [lanes]; a leaf of that shape keeps its values.
 
     Raises:
         ValueError: a leaf is text, a constant of `Method`, or neither a scalar nor of length `lanes`; the message names it.
@@ -132,7 +132,7 @@ def per_lane(options: Options, lanes: int) -> Options:
         name = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("learner.")
         if isinstance(leaf, str) or name in vars(Method):
             fix = f"`{name}: {type(leaf).__name__} = flax.struct.field(pytree_node=False, default=...)`"
-            raise InputError(f"{name} is {brief(leaf)}, no number that can differ between lanes; mark the field: {fix}")
+            raise InputError(f"{name} is {brief(leaf)}, not a number that can vary by lane; mark the field: {fix}")
         shape = jnp.shape(leaf)
         if shape not in ((), (lanes,)):
             raise InputError(f"{name} has shape {shape}; pass one value, or one for each of {lanes} lanes")
@@ -143,7 +143,7 @@ def per_lane(options: Options, lanes: int) -> Options:
 
 
 def program_structure(method: Method) -> Hashable:
-    """Return what all methods of one program have in common: the class, and the values of all but float and bool options."""
+    """Return what the methods of one program must share: the class, and all options that are not floats or bools."""
     return type(method), jax.tree.structure(method)
 
 
@@ -156,6 +156,6 @@ def join_lanes(methods: Sequence[Method]) -> Method:
     if len(set(map(program_structure, methods))) > 1:
         names = ", ".join(sorted({method.name for method in methods}))
         raise InputError(
-            f"the lanes of a program have one method, which differs in float and bool options alone: {names}"
+            f"the lanes of a program must have one method, which differs in float and bool options alone: {names}"
         )
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *methods)

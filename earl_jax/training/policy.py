@@ -1,7 +1,7 @@
 """A learnt policy as a callable, and the trained policies that ship with the package.
 
-Those are actors in float16, with the config and the scores of the runs they come from, in the files
-assets/pretrained/TASK/METHOD.npz and .json. `python -m benchmarks.pretrained RUN` writes them.
+The shipped policies are actors in float16 with the config and the scores of the runs that trained them, in the files
+assets/pretrained/TASK/METHOD.npz and .json. `python -m benchmarks.pretrained RUN` writes these files.
 """
 
 import dataclasses
@@ -35,8 +35,8 @@ _greedy = jax.jit(lambda learner, actor, obs: learner.greedy(actor, obs))
 class Policy(struct.PyTreeNode, eq=False):
     """The greedy task policy of one lane: `policy(obs [..., o]) -> action [..., a]`, pure, works under jit and vmap.
 
-    Sizes are those of the plain task, also after training with a budget for help. Then the actor observes a full budget
-    at index `budget_at` of its observation, and its component for help is left out.
+    Observations and actions are those of the plain task, even after training with a budget for help. In that case the
+    actor receives a full budget at index `budget_at` of its observation, and its action component for help is dropped.
     """
 
     learner: Learner
@@ -69,7 +69,7 @@ class Policy(struct.PyTreeNode, eq=False):
         """Return the greedy action [..., a] at `obs [..., o]`.
 
         Raises:
-            ValueError: `obs`, or the action of a learner, has another size, or this is a stack of policies.
+            ValueError: `obs`, or the action of the learner, has a wrong size, or this is a stack of policies.
         """
         if np.shape(self.learner.discount):
             raise InputError("this is a stack of policies: use jax.vmap, or select_seed(policies, lane)")
@@ -83,11 +83,11 @@ class Policy(struct.PyTreeNode, eq=False):
         return action[..., : self.action_size]
 
     def numpy(self) -> NumpyPolicy:
-        """Return this policy in plain NumPy, which acts, is saved and is loaded without jax.
+        """Return this policy in plain NumPy; it can act, be saved and be loaded without jax.
 
         Raises:
-            ValueError: the learner's greedy action is not the tanh of the first outputs of a ReLU network, with which it
-                is compared here, or this is a stack of policies.
+            ValueError: this is a stack of policies, or a comparison shows that the learner's greedy action is not the
+                tanh of the first outputs of a ReLU network.
         """
         layers = self.actor.get("params", {}) if isinstance(self.actor, dict) else {}
         names = [f"hidden_{number}" for number in range(len(layers))]
@@ -113,8 +113,8 @@ def policies_of(env: Env, method: Method, lanes: LaneState) -> Policy:
 def pretrained(task: str, method: str, seed: int | None = None) -> Policy:
     """Return the trained policy of `method` on `task`: `policy(obs [..., o]) -> action [..., a]`, works under jit and vmap.
 
-    `seed` is one of the run's seeds that ship (`pretrained_info(task, method)["seeds"]`), by default the first. Weights
-    are stored as float16 and used as float32.
+    `seed` is one of the seeds whose policies ship (`pretrained_info(task, method)["seeds"]`), by default the first.
+    Weights are stored as float16 and used as float32.
 
     Raises:
         ValueError: no such policy ships; the message lists the choices.
@@ -132,6 +132,6 @@ def pretrained_env(task: str, method: str) -> Env:
 
 
 def actor_of_arrays(arrays: dict[str, np.ndarray]) -> Any:
-    """Return the actor whose parameters, as float32, are `arrays` by layer and kind: `hidden_0.kernel` and so on."""
+    """Return the actor with the parameters `arrays`, named `hidden_0.kernel` and so on, as float32."""
     leaves = {name: jnp.asarray(array, jnp.float32) for name, array in arrays.items()}
     return {"params": unflatten_dict(leaves, sep=".")}

@@ -1,7 +1,7 @@
 """A cache of compiled programs on disk, so that a second start of the same program compiles nothing.
 
-jax's own cache keeps an entry that a kill or a full disk truncated: every later start warns and compiles again. Ours ends each
-entry with a checksum, removes an entry that does not match it, and stores the program anew.
+jax's own cache keeps entries that a kill or a full disk has truncated: every later start warns and compiles again. Ours
+ends each entry with a checksum, removes an entry whose checksum does not match, and stores the program anew.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ CHECKSUM_SIZE = 32
 
 
 def folder() -> Path | None:
-    """Return the folder of compiled programs: `$EARL_JAX_CACHE`, else earl_jax/programs in the user's cache folder, if any."""
+    """Return the folder of compiled programs: `$EARL_JAX_CACHE`, else earl_jax/programs in the user's cache, if any."""
     if named := os.environ.get(VARIABLE):
         return Path(named)
     caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
@@ -29,8 +29,8 @@ def folder() -> Path | None:
 def keep_programs() -> None:
     """Configure jax to store compiled programs in `folder()`, unless another folder is configured.
 
-    `JAX_ENABLE_COMPILATION_CACHE=false` stores none. The key of a program covers its code, shapes, jax version and
-    device.
+    `JAX_ENABLE_COMPILATION_CACHE=false` disables the cache. The key of a program covers its code, shapes, jax version
+    and device.
     """
     config: Any = jax.config
     place = folder()
@@ -41,14 +41,14 @@ def keep_programs() -> None:
 
 @functools.cache
 def _check_entries() -> None:
-    """Let jax open a cache of checked entries. A release without these modules keeps its own."""
+    """Let jax open a cache of checked entries. A jax release without these modules keeps its own cache."""
     with contextlib.suppress(ImportError, AttributeError):
         module: Any = importlib.import_module("jax._src.compilation_cache")
         module.LRUCache = checked(module.LRUCache)
 
 
 def checked(cache: Any) -> Any:
-    """Return a subclass of jax's `cache` with a checksum at the end of each entry, which removes one that does not match."""
+    """Return a subclass of jax's `cache` that ends entries with a checksum and removes those with a wrong checksum."""
 
     class CheckedCache(cache):
         def get(self, key: str) -> bytes | None:

@@ -25,16 +25,17 @@ from earl_jax.training.policy import Policy, policies_of
 from earl_jax.training.state import TrainState
 
 MOST_SEEDS = 10
-"""Seeds of which a summary has every number."""
+"""Largest number of seeds that a summary lists one by one."""
 
 
 @dataclasses.dataclass(repr=False, eq=False)
 class Result:
     """The result of a run: `steps [E]` of its evaluations, `metrics` of arrays [N, E] of N `seeds`, and its policies.
 
-    Each seed was trained for `step` steps on the physics engine `engine`, or on `kinematic`. After a time limit training
-    ends early (`finished` is False). Before the first evaluation, `metrics` is empty. `folder` is the run folder, or None.
-    `train_state` is the final state; `load` leaves it, and the `objects` that were trained, None, and sets the `run_id`.
+    Each seed was trained for `step` steps on the physics engine `engine`, which can be `kinematic`. If a time limit
+    ended training early, `finished` is False. Before the first evaluation, `metrics` is empty. `folder` is the run
+    folder or None. `train_state` is the final state, and `objects` are the trained task and method; `load` leaves both
+    None and sets `run_id`.
     """
 
     config: RunConfig
@@ -54,30 +55,30 @@ class Result:
 
     @property
     def finished(self) -> bool:
-        """Whether training reached its last step, rather than a time limit."""
+        """Whether training reached its last step instead of being stopped by a time limit or a signal."""
         return self.step >= self.config.steps
 
     @functools.cached_property
     def env(self) -> Env:
-        """The task, with the help that the setting adds.
+        """The task, wrapped in a `HelpBudget` if the setting has a budget for help.
 
         Raises:
-            ValueError: the run was loaded, and its task is not registered here.
+            ValueError: the run was loaded, and its task is not registered in this process.
         """
         return self.objects[0] if self.objects else self.config.build_env()
 
     @functools.cached_property
     def method(self) -> Method:
-        """The method, leaves [N]. Errors as `env`."""
+        """The method, with float leaves [N]. Errors as `env`."""
         return self.objects[1] if self.objects else per_lane(self.config.build_method(), len(self.seeds))
 
     def score(self, window: Window = DEFAULT, metric: str | None = None) -> Score:
-        """Return the score of the run: the mean over seeds of their evaluations in `window`, by default of the last tenth.
+        """Return the score of the run: the mean over seeds of the evaluations in `window`, by default the last tenth.
 
-        `metric` is by default the deployed one. Seeds with hyper-parameters of their own count alike.
+        `metric` is by default the deployed one. All seeds have equal weight, even if their hyper-parameters differ.
 
         Raises:
-            ValueError: there is no evaluation yet, no such metric, or `window` is no `Window`.
+            ValueError: there is no evaluation yet, no such metric, or `window` is not a `Window`.
         """
         deployed = self.config.deployed_metric
         if self.metrics:
@@ -86,7 +87,7 @@ class Result:
 
     @property
     def scores(self) -> Scores:
-        """The paper's scores of the lifetimes: J_D, D(A), C(A).
+        """The paper's scores of the lifetimes: J_D, the mean of the deployed curve (for D(A)), and C(A).
 
         Raises:
             ValueError: there is no evaluation yet.
@@ -100,7 +101,7 @@ class Result:
         """The greedy task policies of all seeds, one policy with leaves [N], for `jax.vmap`.
 
         Raises:
-            ValueError: the run was loaded, and its folder has no policies, damaged ones or those of another run since.
+            ValueError: the run was loaded, and its folder has no policies or damaged ones, or now holds another run.
         """
         if self.train_state is not None:
             return policies_of(self.env, self.method, self.train_state.lanes)
@@ -121,11 +122,11 @@ class Result:
     def frame(self, *options: str) -> Any:
         """Return the metrics as a pandas DataFrame with the rows of metrics.csv: `step`, `seed`, and each metric.
 
-        A column for each of the `options` follows: `env`, `algo`, or an option of the task, the method or the setting, whose
-        default counts too. With these the frames of several runs can be told apart in one.
+        Each of `options` adds a column: `env`, `algo`, or an option of the task, the method or the setting, which shows
+        its default if it was not given. Such columns identify the runs after their frames are concatenated.
 
         Raises:
-            ValueError: pandas is not installed, there is no such option, or as `method`.
+            ValueError: pandas is not installed, there is no such option, or `method` raises it.
         """
         try:
             pandas = importlib.import_module("pandas")
@@ -148,7 +149,7 @@ class Result:
         return as_decimals(np.asarray(value)).tolist() if isinstance(value, jax.Array) else [value] * len(self.seeds)
 
     def summary(self, window: Window = DEFAULT) -> dict[str, str]:
-        """Return what a run is and what it has reached, as printable texts by their titles."""
+        """Return a summary of the run and its scores, as printable texts by title."""
         config, scores = self.config.values, {}
         if len(self.steps) and self.config.deployed_metric in self.metrics:
             score = self.score(window)
@@ -175,10 +176,10 @@ class Result:
 
 
 def load(folder: str | Path) -> Result:
-    """Return the run in `folder`: its config, its metrics and, on demand, its policies. It needs no checkpoint.
+    """Return the run in `folder`: its config, its metrics and, on demand, its policies. No checkpoint is needed.
 
-    Nothing is trained or compiled. The class of the method need not be registered here, nor, without a budget for help,
-    that of the task; only `Result.env` and `Result.method` need them.
+    Nothing is trained or compiled. The classes of method and task need not be registered, except for `Result.env` and
+    `Result.method`, and for policies that were trained with a budget for help.
 
     Raises:
         ValueError: `folder` is not a run folder, or its config or its metrics are damaged; the message names the file.
@@ -192,7 +193,7 @@ def load(folder: str | Path) -> Result:
 
 
 def select_seed(state: Any, i: int) -> Any:
-    """Return lane `i` of `state`: the `LaneState` of a `TrainState`, or the lane of any tree of arrays with a lane axis.
+    """Return lane `i` of `state`: the `LaneState` of a `TrainState`, or the lane of another tree with a lane axis.
 
     Raises:
         IndexError: there is no such lane.
@@ -210,7 +211,7 @@ def select_seed(state: Any, i: int) -> Any:
 
 @jax.jit
 def _lane(lanes: Any, i: jax.Array) -> Any:
-    """Return lane `i`, by one program for all leaves."""
+    """Return lane `i` with one program for all leaves."""
     return jax.tree.map(lambda leaf: leaf[i], lanes)
 
 
@@ -220,6 +221,6 @@ def _with_options(name: str, options: dict[str, Any]) -> str:
 
 
 def _numbers(values: np.ndarray) -> str:
-    """Return the first and the last of `values [N]`, or all of a few."""
+    """Return `values [N]` as text: all of them if they are few, else the first and the last."""
     texts = [f"{value:.3g}" if isinstance(value, float) else str(value) for value in values.tolist()]
     return ", ".join(texts if len(texts) <= MOST_SEEDS else [*texts[:3], "...", *texts[-3:]])

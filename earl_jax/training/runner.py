@@ -1,4 +1,4 @@
-"""One jitted program and the runs that share it: chunks of the loop, with evaluations, logs and checkpoints between."""
+"""One jitted program and the runs that share it: chunks of the loop, then evaluations, logs and checkpoints."""
 
 import contextlib
 import dataclasses
@@ -41,8 +41,8 @@ from earl_jax.training.stopping import Stopped, StopRequest
 class Run:
     """One of the runs of a program, with the objects of its config.
 
-    `method` has leaves [n]. `folder`, if there is one, and `listeners` receive its metrics; `table` has them once the logs are
-    closed.
+    `method` has leaves [n]. `folder`, if not None, and `listeners` receive the metrics; `table` contains them once the
+    logs are closed.
     """
 
     config: RunConfig
@@ -55,7 +55,7 @@ class Run:
 
     @classmethod
     def resolve(cls, config: RunConfig, env: Env | None = None, method: Method | None = None) -> "Run":
-        """Return the run of `config`; the objects that are not given are built from it."""
+        """Return the run of `config`; an `env` or `method` that is not given is built from it."""
         env, method = env or config.build_env(), method or config.build_method()
         return cls(config, env, per_lane(method, len(config.seeds)), config.protocol(env))
 
@@ -88,7 +88,7 @@ class Run:
         self._evaluations.append((step, metrics))
 
     def result(self, state: TrainState, engine: str) -> Result:
-        """Return the result of this run, the only one of its program, whose lanes have `state`."""
+        """Return the result of this run, which must be the only one of its program, from the lanes in `state`."""
         return Result(
             config=self.config,
             engine=engine,
@@ -124,13 +124,13 @@ def _evaluate(
 
 
 class Program:
-    """One jitted program for the lanes of all `runs`, in their order, which all hosts have, with its `plan`.
+    """One jitted program with its `plan`, for the lanes of all `runs` in their order, which is the same on all hosts.
 
     The runs must have the same env, schedule, `program_structure` of their methods and step of their newest checkpoint.
-    Their rules (H_T, settings) can differ, because lanes carry them as arrays, so the plan's protocol has none.
+    Their rules (H_T, settings) can differ, because lanes carry the rules as arrays; the plan's protocol has no rules.
 
     Raises:
-        ValueError: as `make_plan`.
+        ValueError: `make_plan` raises it.
     """
 
     def __init__(self, runs: Sequence[Run], devices: int | None):
@@ -141,7 +141,7 @@ class Program:
         self._method = placed(method, self.plan.mesh)
 
     def trace(self) -> None:
-        """Raise the errors of the functions of the runs from their first step on; `run` does not trace them again."""
+        """Trace the functions of the runs to raise their errors before training; `run` does not trace them again."""
         plan, method = self.plan, self._method
         state = jax.eval_shape(self._initial_state())
         for warmup in {*plan.warmups(0)}:
@@ -152,7 +152,7 @@ class Program:
         """Return the final state of all lanes of the runs, resumed from their newest checkpoints.
 
         Each run's metrics are added to its `table` and to its folder, which also receives checkpoints of the run's
-        lanes. With a `limit`, the state can be an earlier one: that after the chunk in which the time ran out, with a
+        lanes. If a `limit` ends training early, the state is that after the chunk in which the time ran out, with a
         checkpoint.
 
         Raises:
@@ -232,7 +232,7 @@ class Program:
         return state
 
     def _record_length(self) -> None:
-        """Write length and engine of the runs to their configs, which stay as they are if one fails before its first steps."""
+        """Write length and engine of the runs to their configs, once the first steps of all runs have succeeded."""
         for run in self._runs:
             if run.folder and first_host():
                 run.folder.record(engine=self.plan.engine, steps=run.config.steps)
@@ -240,7 +240,7 @@ class Program:
     def _train_to_evaluation(self, state: TrainState, step: int, bar: Progress, stop: StopRequest) -> TrainState:
         """Return the state at the next evaluation, or after the chunk in which a signal arrived or the time ran out.
 
-        A time limit lets at least one chunk run, so that repeated commands come to an end.
+        Even with a time limit at least one chunk runs, so repeated commands finish eventually.
         """
         plan = self.plan
         for warmup in plan.warmups(step):
@@ -255,7 +255,7 @@ class Program:
         return state
 
     def _evaluated(self, state: TrainState, step: int, bar: Progress) -> TrainState:
-        """Return the state after the evaluation at `step`, of which each run keeps its policies and its metrics."""
+        """Return the state after the evaluation at `step`, from which each run keeps its policies and its metrics."""
         with bar.working("evaluation"), jax.debug_nans(False):  # shares of no phases are nan
             state, metrics = _evaluate(self.plan.problem, self._method, state, self.plan.mesh)
             metrics = {name: as_decimals(values) for name, values in gathered(metrics).items()}

@@ -19,8 +19,8 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, w
     """Return all lanes after `steps` steps in one scan.
 
     k calls of whole blocks equal one call with k times the steps, bit for bit. A method's `refresh` runs at the start
-    of every block. A block has `refresh_every` steps, counted from the call, or their greatest common divisor with
-    `steps` if that is smaller.
+    of every block. A block has `refresh_every` steps, or the greatest common divisor of that number and `steps` if it
+    is smaller.
     """
     if method.refresh_every == 0 or warmup is True:
         return _run_block(problem, method, state, steps, warmup)
@@ -60,8 +60,8 @@ def _run_block(problem: Problem, method: Method, state: TrainState, steps: int, 
 def _start_ahead(problem: Problem, method: Method, state: TrainState, keys: StepKeys, warmup: Warmup) -> TrainState:
     """Return all lanes after the steps of `keys`, in a scan that starts each step before it stores the last one.
 
-    The host waits for the start of a step. Whatever follows it is computed while the host simulates, the draw of its batch
-    too.
+    The host waits for the start of a step. Everything after the start, including the draw of the step's batch, is
+    computed while the host simulates.
     """
 
     def step(carry, keys):
@@ -83,15 +83,15 @@ def _start_ahead(problem: Problem, method: Method, state: TrainState, keys: Step
 
 
 def _draws_ahead() -> bool:
-    """Return whether a step draws the next one's batch, which an accelerator does while it still learns from its own.
+    """Return whether a step draws the batch of the next step, as an accelerator can while it learns from its own batch.
 
-    A CPU does one thing after the other.
+    A CPU would do one after the other.
     """
     return jax.default_backend() != "cpu"
 
 
 def host_simulates(problem: Problem, state: TrainState) -> bool:
-    """Return whether the host simulates the control steps of `state` beside the device."""
+    """Return whether the host simulates the control steps of `state` while the device computes."""
     env_states = state.lanes.env_state
     actions = jax.ShapeDtypeStruct((len(env_states.obs), problem.env.action_size), jnp.float32)
     pending: PendingStep = jax.eval_shape(jax.vmap(problem.env.start_step), env_states, actions)
@@ -99,7 +99,7 @@ def host_simulates(problem: Problem, state: TrainState) -> bool:
 
 
 def refresh(problem: Problem, method: Method, state: TrainState) -> TrainState:
-    """Return the lanes with their method's state refreshed from the agent and the last controller's own transitions."""
+    """Return the state after `Method.refresh` of every lane, with own transitions of the last controller."""
     batch = None
     if method.refresh_batch_size:
         keys = jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, state.step), 2))(state.lanes.key)

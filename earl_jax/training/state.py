@@ -22,13 +22,13 @@ MAP_BINS = 64
 
 
 Warmup = bool | jax.Array
-"""Whether steps act uniformly at random and do not learn. A traced flag, bool [], computes updates and drops them."""
+"""Whether steps act uniformly at random and do not learn. With a traced flag, bool [], updates are made and dropped."""
 
 
 class LaneState(struct.PyTreeNode):
     """The state of one lane, which trains one seed.
 
-    `visits [MAP_BINS, MAP_BINS]`, int32, counts visited positions, first axis x; None where the task has no map.
+    `visits [MAP_BINS, MAP_BINS]`, int32, counts visited positions, first axis x; None if the task has no map.
     """
 
     key: jax.Array
@@ -46,7 +46,7 @@ class LaneState(struct.PyTreeNode):
 
 
 def count_visit(env: Env, lane: LaneState, obs: jax.Array) -> jax.Array | None:
-    """Return the visits of `lane` with the position in `obs [o]`, unless a fault has left none or the lifetime has ended."""
+    """Return the visits of `lane` plus the position in `obs [o]`, if that is finite and the lifetime has not ended."""
     if env.map is None or lane.visits is None:
         return None
     low, high = env.map.bounds
@@ -78,7 +78,7 @@ class StepKeys(NamedTuple):
 
     @property
     def chance(self) -> jax.Array:
-        """The key of interventions by chance; a small number would give one that a reset splits from its own."""
+        """The key of interventions by chance; with a small number it could equal a key that a reset splits off."""
         return jax.random.fold_in(self.reset, 1 << 31)
 
 
@@ -97,7 +97,7 @@ def seed_keys(seeds: Sequence[int]) -> jax.Array:
 class Problem:
     """The static arguments of a program: the environment, the protocol of its training, and the steps of a `lifetime`.
 
-    It is a pytree without leaves, so a jitted function takes it as an argument that needs no `static_argnames`.
+    It is a pytree without leaves, so a jitted function accepts it as an argument without `static_argnames`.
     """
 
     env: Env
@@ -115,5 +115,5 @@ class Problem:
 
     @property
     def goals(self) -> Goals:
-        """The goal table, to which the replay's indices refer."""
+        """The goal table, to which the goal indices in the replay refer."""
         return goal_table(self.env)

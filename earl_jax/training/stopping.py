@@ -1,6 +1,6 @@
 """Stopping before the last step, by a signal or a time limit: training finishes its chunk and saves a checkpoint.
 
-After a signal it raises `Stopped`; after the end of its minutes it returns the state that it has.
+After a signal, training raises `Stopped`; at the end of its time limit, it returns the state that it has reached.
 """
 
 import signal
@@ -18,7 +18,7 @@ from earl_jax.runs.hosts import of_all_hosts
 class Stopped(KeyboardInterrupt):
     """Training was stopped by the signal `number` at `step`, in `state`, which is saved in `folder`, if there is one.
 
-    `exit_code` is that of a process that ends by this signal. From `train` and `resume`, `result` is the `Result` so far.
+    `exit_code` is that of a process killed by this signal. If `train` or `resume` raised it, `result` is the `Result`.
     """
 
     result: Any = None
@@ -32,8 +32,9 @@ class Stopped(KeyboardInterrupt):
 class StopRequest:
     """A context that records SIGINT, SIGTERM and SIGHUP instead of their default actions; a second signal acts at once.
 
-    Handlers that others have installed stay, and a signal that is ignored, as by `nohup`, stays so. Several hosts have to
-    stop at the same step: a signal to any of them, or the end of its limit, counts for all from the next `check` on.
+    Handlers that other code has installed stay, and signals that are ignored, for example by `nohup`, stay ignored.
+    Several hosts have to stop at the same step: a signal to any host, or its time limit, counts for all from the next
+    `check` on.
     """
 
     def __init__(self, limit: TimeLimit | None = None):
@@ -43,11 +44,11 @@ class StopRequest:
 
     @property
     def requested(self) -> bool:
-        """Whether a signal has arrived, or the last `check` was after the end of the limit."""
+        """Whether a signal has arrived, or the time limit had passed at the last `check`."""
         return self.number is not None or self._timed_out
 
     def check(self) -> None:
-        """Request a stop if the limit has passed or a host has a signal; every host must call this after the same steps."""
+        """Request a stop if the limit has passed or a host got a signal; all hosts must call it at the same steps."""
         received, passed = of_all_hosts([self._received, self._limit is not None and self._limit.passed]).T
         self.number, self._timed_out = int(received.max()) or self.number, bool(passed.any())
 

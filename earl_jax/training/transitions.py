@@ -19,11 +19,11 @@ from earl_jax.training.loading import shapes_of
 def load_transitions(folder: str | Path, seed: int) -> tuple[Env, Demos, np.ndarray]:
     """Return the env of a run folder, the T transitions that `seed` lived, and which of them are terminal, bool [T].
 
-    They are those that the replay of the newest checkpoint still has, in their order, without demonstrations. `goals`
-    are those of the policy. `ends` cut them into attempts: where a goal was reached or the life ended, which is terminal,
-    and at time-outs, goal changes and interventions, which are not (EARL's learners treat these as terminal too). The
-    replay has no next state where the environment was reset. Such a step is left out, unless it reached its goal: then
-    its state is repeated as the next one.
+    They are the transitions that the replay of the newest checkpoint still contains, in order, without demonstrations.
+    `goals` are the goals that the policy pursued. `ends` cut the life into attempts: where a goal was reached or the
+    life ended, which is terminal, and at time-outs, goal changes and interventions, which are not (EARL's learners
+    treat these as terminal too). Where the environment was reset, the replay has no next state: such a step is left out
+    unless it reached its goal, in which case its state is repeated as the next state.
 
     Raises:
         ValueError: `folder` is not a run folder, or has no such seed or no intact checkpoint, or no transition is left.
@@ -37,7 +37,7 @@ def load_transitions(folder: str | Path, seed: int) -> tuple[Env, Demos, np.ndar
     transitions, terminal = attempts(env, state.replay, lane, int(state.step))
     if not len(terminal):
         raise InputError(
-            f"{folder} has no transition of seed {seed}: its life ended before those that the replay still has, or an "
+            f"{folder} has no transition of seed {seed}: its life ended before the steps that the replay has, or an "
             "intervention followed each of them"
         )
     return env, transitions, terminal

@@ -122,8 +122,8 @@ def test_an_interval_contains_its_numbers_only(interval, inside, outside):
         (lambda: setting_of("deployment", intervention_chance=1.1), "intervention_chance must lie in [0, 1]"),
         (lambda: setting_of("continuing", goal_change=0), "goal_change must lie in [1, 2147483647]"),
         (lambda: parse_options(("a=1", "b=1", "a=1")), "a is given twice"),
-        (lambda: parse_options(("steps=" + 5000 * "9",)), "(5000 characters) is no value"),
-        (lambda: parse_options(("steps=" + 100_000 * "[",)), "(100000 characters) is no value"),
+        (lambda: parse_options(("steps=" + 5000 * "9",)), "(5000 characters) is not a value"),
+        (lambda: parse_options(("steps=" + 100_000 * "[",)), "(100000 characters) is not a value"),
     ],
 )  # fmt: skip
 def test_values_outside_their_interval_are_refused_with_the_interval(build, message):
@@ -171,8 +171,8 @@ def test_options_of_an_object_that_are_invalid_or_that_no_program_can_hold_are_n
         (Marked(weights=np.zeros(2)), r"naive: weights must be a plain value, .* not the array \[0.0, 0.0\]"),
         (Marked(mode="c"), "mode 'c' is not one of a, b"),  # pyright: ignore[reportArgumentType]
         (Marked(SAC), r"the learner must be an object of Learner, not .*did you mean SAC\(\)"),  # pyright: ignore[reportArgumentType]
-        (Marked(word="fast"), "word is 'fast', no number .* mark the field: `word: str = flax.struct.field"),
-        (late(), "later_steps is 9, no number .* mark the field: `later_steps: int = flax.struct.field"),
+        (Marked(word="fast"), "word is 'fast', not a number .* mark the field: `word: str = flax.struct.field"),
+        (late(), "later_steps is 9, not a number .* mark the field: `later_steps: int = flax.struct.field"),
         (Marked(word=(0.5, np.zeros(3))), r"word.1 has shape \(3,\); pass one value, or one for each of 2 lanes"),
     ):
         with pytest.raises(InputError, match=message):

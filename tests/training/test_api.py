@@ -125,7 +125,7 @@ def test_an_object_with_another_reward_scale_than_the_task_is_named_unless_it_wa
         with pytest.raises(AssertionError, match="training started"):
             train(task, method, steps=2000)
     [message] = [str(each.message) for each in recwarn if "reward_scale" in str(each.message)]
-    assert message.startswith("reward_scale is 10, the learner's default, and that of tabletop_organization is 1,")
+    assert message.startswith("reward_scale is 10, the learner's default, but tabletop_organization has 1;")
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def test_four_devices_train_as_one_does_without_a_collective():
     [
         (5, 1, r"5 devices requested, but 4 available \(cpu\)"),
         (3, 1, "8 lanes can't be divided over 3 devices: take 6 or 9 lanes, or 1 or 2 of the devices"),
-        (2, 2, "the first 2 of 4 devices are not on all 2 hosts: take more"),
+        (2, 2, "the first 2 of 4 devices are not on all 2 hosts: request more"),
         (0, 1, r"devices must lie in \[1, "),
         *[(devices, 1, "devices must be a whole number") for devices in ("2", 1.0, True)],
     ],

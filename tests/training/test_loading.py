@@ -42,7 +42,7 @@ def test_policies_and_maps_of_visits_need_no_checkpoint(trained, folder):
     shutil.rmtree(folder.checkpoints)
     np.testing.assert_array_equal(load_visits(folder)[1], visits)
     assert evaluate(folder.path, episodes=2, pairs="balanced")["deployed/success"].shape == (2,)
-    with pytest.raises(ValueError, match="balanced pairs are those of the task's own starts, not of wide ones"):
+    with pytest.raises(ValueError, match=r"need the task's own starts \(initial\), not wide ones"):
         evaluate(folder.path, episodes=2, starts="wide", pairs="balanced")
 
 

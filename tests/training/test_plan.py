@@ -66,7 +66,7 @@ def test_a_method_that_needs_demonstrations_says_so_before_it_starts_without_the
     ("task", "algo", "options", "changes", "message"),
     [
         ("tabletop_organization", "naive", {"random_steps": 1_000}, {"random_steps": 119},
-         "nothing is learnt: random_steps is 1,000, and the run has 120 steps"),
+         "nothing is learnt: random_steps is 1,000, and the run has only 120 steps"),
         ("tabletop_organization", "vaprl", {"refresh_every": 25}, {"refresh_every": 10},
          r"vaprl refreshes every 5 steps, not every 25: .* the 20 steps of a chunk"),
         ("fish_swim", "naive", {"demo_share": 0.5, "cloning": 1.0}, {"demo_share": 0, "cloning": 0},
@@ -113,5 +113,5 @@ def test_methods_share_a_program_if_they_differ_in_floats_and_flags_alone(algo, 
     naive, other = tiny_method("naive"), tiny_method(algo, lanes=3, **options)
     assert (program_structure(other) == program_structure(naive)) == is_shared
     if not is_shared:
-        with pytest.raises(ValueError, match=f"the lanes of a program have one method.*: .*{algo}"):
+        with pytest.raises(ValueError, match=f"the lanes of a program must have one method.*: .*{algo}"):
             join_lanes([naive, other])

@@ -72,12 +72,12 @@ def test_a_finished_run_is_not_trained_again_and_a_longer_one_can_end_where_it_s
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"logs": None}, "a list of logs as objects, not None"),
-        ({"logs": ["tensorboard"]}, r"logs as objects, not \['tensorboard'\]: names belong to train"),
+        ({"logs": None}, "a list of log objects, not None"),
+        ({"logs": ["tensorboard"]}, r"log objects, not \['tensorboard'\]; logs named in train continue"),
         ({"env": "meadow"}, "the task must be an object of Env, not 'meadow'"),
         ({"algo": Patient}, r"the method must be an object of Method, not .*; did you mean Patient\(\)\?"),
         ({"steps": "160"}, "steps must be a whole number, not '160'"),
-        ({"steps": 90}, "steps 90 is not a multiple of 40, the run's eval_every; take 120"),
+        ({"steps": 90}, "steps 90 is not a multiple of 40, the run's eval_every; choose 120"),
         ({"env": Meadow(reward_type="dense")}, "this run has the reward_type 'sparse', .* has 'dense'"),
         ({"env": TabletopOrganization()}, "task of this run has the name 'meadow', .* passed has 'tabletop_org"),
         ({"algo": make_patient(discount=0.5)}, "method of this run has the discount 'the default', .* passed has 0.5"),

@@ -84,5 +84,5 @@ def test_no_transition_is_left_after_the_end_of_a_life_or_with_a_reset_at_every_
 def test_a_run_of_which_no_transition_is_left_says_so(tmp_path, monkeypatch):
     tiny_train("naive", out=tmp_path / "run")
     monkeypatch.setattr(transitions, "attempts", lambda *_: (None, np.zeros(0, bool)))
-    with pytest.raises(ValueError, match="run has no transition of seed 1: its life ended before those"):
+    with pytest.raises(ValueError, match="run has no transition of seed 1: its life ended before the steps that"):
         transitions.load_transitions(tmp_path / "run", 1)
