@@ -12,12 +12,12 @@ from earl_jax.metrics.statistics import Estimate, bootstrap, percentile_interval
 
 
 def probability_of_improvement(scores: np.ndarray, others: np.ndarray) -> Estimate:
-    """Return the probability that a seed of `scores [N, tasks]` is better than one of `others [M, tasks]`, over tasks.
+    """Return the probability that a seed of `scores [N, tasks]` is better than a seed of `others [M, tasks]`.
 
-    It is the mean over tasks of the share of pairs of seeds in which the first is better; a tie counts a half.
+    It is the mean over tasks of the share of pairs of seeds in which the first seed is better; a tie counts half.
 
     Raises:
-        ValueError: the two have different numbers of tasks.
+        ValueError: `scores` and `others` have different numbers of tasks.
     """
     scores, others = _by_task(scores), _by_task(others)
     if scores.shape[1] != others.shape[1]:
@@ -41,7 +41,7 @@ def optimality_gap(scores: np.ndarray, best: float = 1.0) -> Estimate:
 def performance_profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
     """Return [3, K]: the share of runs above each of `thresholds [K]`, averaged over tasks, and its interval's ends.
 
-    `scores [N, tasks]`; it is nan if a score is.
+    `scores` have the shape [N, tasks]; the result is nan if a score is nan.
     """
     scores = _by_task(scores)[:, :, None]
     above = np.where(np.isnan(scores), np.nan, scores > np.asarray(thresholds))
@@ -50,5 +50,5 @@ def performance_profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarra
 
 
 def _by_task(scores: np.ndarray) -> np.ndarray:
-    """Return `scores` as [N, tasks]; those of a single task can be [N]."""
+    """Return `scores` as [N, tasks]; scores of a single task can be [N]."""
     return np.reshape(np.asarray(scores, float), (len(scores), -1))

@@ -19,15 +19,15 @@ from earl_jax.metrics.statistics import Estimate
 LEVEL = 0.05
 POWER = 0.8
 CANNOT_TELL = "cannot tell"
-"""The verdict where p is not under `LEVEL`."""
+"""The verdict if p is not below `LEVEL`."""
 SAME = 1e-12
-"""Squared standard error, as a share of the squared mean, up to which the scores of seeds count as equal."""
+"""Squared standard error, as a share of the squared mean, up to which the seeds' scores count as equal."""
 ROUNDING = 1e-6
-"""Relative error of a score up to which two differences count as equal: scores are means of float32, as 0.90000004 of 0.9."""
+"""Relative error up to which two differences of scores count as equal: float32 means can give 0.90000004 for 0.9."""
 FEWEST_SEEDS = 3
-"""Fewer seeds have no interval: Student's of two is wider than any score."""
+"""Fewer seeds have no interval: Student's interval of two seeds is wider than any score."""
 SPLITS = 20_000
-"""Largest number of splits of the seeds that the permutation test enumerates; it draws as many if there are more."""
+"""Largest number of splits of the seeds that the permutation test enumerates; if there are more, it draws this many."""
 
 
 class Sample(NamedTuple):
@@ -46,7 +46,7 @@ class Sample(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """The difference of two means with its 95 % interval and the two-sided p; these are nan if a sample has one seed."""
+    """The difference of two means with its 95 % interval and two-sided p, which are nan if a sample has one seed."""
 
     difference: float
     low: float
@@ -55,12 +55,12 @@ class Comparison(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """`above` or `below` if p is under 5 %, else `CANNOT_TELL`."""
+        """`above` or `below` if p is below 5 %, else `CANNOT_TELL`."""
         return verdict(self.difference, self.p)
 
 
 def verdict(difference: float, p: float) -> str:
-    """Return `above` or `below`, by the sign of `difference`, if `p` is under `LEVEL`, else `CANNOT_TELL`."""
+    """Return `above` or `below`, by the sign of `difference`, if `p` is below `LEVEL`, else `CANNOT_TELL`."""
     if not p < LEVEL:
         return CANNOT_TELL
     return "above" if difference > 0 else "below"
@@ -88,8 +88,8 @@ def error_interval(mean: Any, error: Any, seeds: int, rate: bool) -> tuple[Any, 
 def rate_interval(mean: Any, error: Any, seeds: int) -> tuple[Any, Any]:
     """Return Wilson's 95 % interval, within [0, 1], of a rate with the `mean [...]` and the standard error `error` over seeds.
 
-    The number of trials is the effective one, mean (1 - mean) / error^2, at least one for each seed, and the quantile is
-    Student's. Where no seed differs, each seed is one trial: five that all succeed give [0.57, 1].
+    The number of trials is the effective one, mean (1 - mean) / error^2, at least one per seed, and the quantile is
+    Student's. If all seeds agree, each seed is one trial: five seeds that all succeed give [0.57, 1].
     tests/metrics/test_comparison.py checks the coverage by simulation.
 
     Source: Kott and Carr 1997, "Developing an estimation strategy for a pesticide data program", after Wilson 1927.
@@ -103,7 +103,7 @@ def rate_interval(mean: Any, error: Any, seeds: int) -> tuple[Any, Any]:
 
 
 def band(curves: np.ndarray, rate: bool = False) -> Estimate:
-    """Return the mean of `curves [seeds, E]` with its 95 % interval at each evaluation, without width where no seed differs."""
+    """Return the mean of `curves [seeds, E]` with its 95 % interval at each evaluation, of width 0 if seeds agree."""
     with np.errstate(invalid="ignore"):  # infinite values, such as the loss of a seed that diverged, have none
         mean, low, high = mean_interval(curves, rate)
         same = is_rounding(np.var(curves, axis=0) / (len(curves) - 1), mean) & (len(curves) >= FEWEST_SEEDS)
@@ -123,7 +123,8 @@ def _quantile(seeds: int) -> float:
 def welch(sample: Sample, other: Sample) -> Comparison:
     """Return `sample` minus `other` by Welch's test of means with unequal variances.
 
-    p is nan if a sample has one seed or neither has a spread. The interval is nan too, as it is for fewer than three seeds.
+    p and the interval are nan if a sample has one seed or neither sample has a spread. The interval is also nan if a
+    sample has fewer than three seeds.
     """
     difference, freedom = sample.mean - other.mean, _freedom(sample, other)
     error = math.hypot(sample.stderr, other.stderr)
@@ -137,9 +138,9 @@ def welch(sample: Sample, other: Sample) -> Comparison:
 def permutation(scores: np.ndarray, others: np.ndarray) -> Comparison:
     """Return mean(`scores`) minus mean(`others`) of independent seeds, [seeds] each, with p of the permutation test.
 
-    All splits of the seeds are enumerated, or 20,000 drawn if there are more. They are compared by Welch's t (Janssen 1997):
-    by the difference alone, a side with fewer seeds and a larger spread would be told apart too often. The interval is
-    Welch's. There is no p if a score is not finite.
+    All splits of the seeds are enumerated, or 20,000 are drawn if there are more. Splits are compared by Welch's t
+    (Janssen 1997); compared by the difference alone, a side with fewer seeds and a larger spread would differ
+    significantly too often. The interval is Welch's. p is nan if a score is not finite.
     """
     result = welch(Sample.of(scores), Sample.of(others))
     if min(len(scores), len(others)) < 2 or not math.isfinite(result.difference):
@@ -155,9 +156,9 @@ def permutation(scores: np.ndarray, others: np.ndarray) -> Comparison:
 
 
 def _larger_differences(weights: np.ndarray, own: np.ndarray, pooled: np.ndarray) -> np.ndarray:
-    """Return for each split whether its difference is at least that of `own`, as Welch's t then is with equal sides, bool [k].
+    """Return whether the difference of each split is at least that of `own`, bool [k]; with equal sides, so is its t.
 
-    A difference that is equal up to `ROUNDING` of the seeds that change sides counts as equal.
+    Differences count as equal up to `ROUNDING` of the seeds that change sides.
     """
     changed = weights * np.sign(weights @ pooled)[:, None] - own * np.sign(own @ pooled)
     return changed @ pooled >= -ROUNDING * (np.abs(changed) @ np.abs(pooled))
@@ -177,15 +178,15 @@ def _squared_t(weights: np.ndarray, pooled: np.ndarray) -> np.ndarray:
 
 
 def smallest_p(seeds: int, others: int) -> float:
-    """Return the smallest p that `permutation` can give with so many seeds on the two sides: all of one above the other's."""
+    """Return the smallest p that `permutation` can give with these seeds, when one side is above all of the other."""
     splits = math.comb(seeds + others, seeds)
     return 1 / (SPLITS + 1) if splits > SPLITS else (2 if seeds == others else 1) / splits
 
 
 def detectable_difference(sample: Sample, other: Sample) -> float:
-    """Return the difference of means that Welch's test of these standard errors finds with a probability of 80 %.
+    """Return the difference of means that Welch's test with these standard errors detects with a probability of 80 %.
 
-    It is 0 if neither has a spread, and else nan if one has fewer than three seeds.
+    It is 0 if neither sample has a spread; otherwise it is nan if one of them has fewer than three seeds.
     """
     error, freedom = math.hypot(sample.stderr, other.stderr), _freedom(sample, other)
     if math.isnan(error) or error == 0:
@@ -201,9 +202,9 @@ def detectable_difference(sample: Sample, other: Sample) -> float:
 
 
 def holm(values: Sequence[float], tests: int = 0) -> np.ndarray:
-    """Return Holm's adjusted p [k] of the p `values [k]` of one family; those that are nan do not count and stay nan.
+    """Return Holm's adjusted p [k] for the p `values [k]` of one family; values that are nan do not count and stay nan.
 
-    With more `tests` than `values`, the family has further tests, whose p are larger.
+    If `tests` exceeds the number of values, the family has further tests, whose p values are larger.
     """
     p = np.asarray(values, float)
     order = np.argsort(p)[: np.count_nonzero(~np.isnan(p))]  # nan sorts last
@@ -226,7 +227,7 @@ def _freedom(sample: Sample, other: Sample) -> float:
 
 @functools.cache
 def _splits(seeds: int, others: int) -> tuple[np.ndarray, int]:
-    """Return the weights [k, seeds + others] of all scores in the difference of each split, and 1 if they are drawn, else 0."""
+    """Return the weights [k, seeds + others] of scores in each split's difference, and 1 if they are drawn, else 0."""
     total, drawn = seeds + others, math.comb(seeds + others, seeds) > SPLITS
     if drawn:
         picks = np.argsort(np.random.default_rng(0).random((SPLITS, total)), axis=1)[:, :seeds]

@@ -16,13 +16,13 @@ DIVERGED = "diverged"
 OVER = "help/over"
 """The metric that is 1 in a lane whose lifetime has ended with its budget, else 0."""
 HELP = ("asked", "enforced", "budget")
-"""What a state of a `HelpBudget` has in its `info`."""
+"""Keys of `info` in a state of a `HelpBudget`."""
 
 
 def count_diverged(metrics: Mapping[str, np.ndarray]) -> int:
     """Return the number of seeds in `metrics`, arrays [N, E], that have diverged by the last evaluation.
 
-    Published runs without the metric `diverged` show it by their loss alone.
+    In published runs, which have no metric `diverged`, only the loss shows divergence.
     """
     marks = [metrics[DIVERGED][:, -1] > 0] if DIVERGED in metrics else []
     marks += [~np.isfinite(metrics["critic_loss"][:, -1])] if "critic_loss" in metrics else []
@@ -42,9 +42,9 @@ def diverged_text(diverged: int, seeds: int) -> str:
 class Counters(struct.PyTreeNode):
     """Counts of one lane since its first step.
 
-    `window_reward`: task reward since the last evaluation; `total_reward`: task reward before it; `interventions`:
-    their number, of which `faults` are resets after a broken simulation; `reached`: task goals reached; `diagnostics`:
-    those of the last gradient step; `phases`: those that ended, and the object's movement.
+    `window_reward`: task reward since the last evaluation; `total_reward`: task reward before that; `interventions`:
+    number of interventions; `faults`: those of them that followed a broken simulation; `reached`: task goals reached;
+    `diagnostics`: scalars of the last gradient step; `phases`: phases that ended, and the object's movement.
     """
 
     window_reward: jax.Array
@@ -78,8 +78,8 @@ def continuing(
     `continuing/reward` is the paper's metric: task reward averaged over the lifetime, whichever controller acted.
     `continuing/recent` is the same since the last evaluation. `interventions`, `faults` (resets after a broken
     simulation, which count as interventions) and `reached` are counts since the first step. In a `HelpBudget`
-    environment, `help/asked` and `help/enforced` count its own interventions, `help/budget` is the rest of the budget,
-    and `help/over` is 1 where the lifetime has ended.
+    environment, `help/asked` and `help/enforced` count its own interventions, `help/budget` is the remaining budget,
+    and `help/over` is 1 if the lifetime has ended.
     """
     total = counters.total_reward + counters.window_reward
     metrics = {

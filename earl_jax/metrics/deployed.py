@@ -13,9 +13,9 @@ from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, EPISODES, require
 
 WIDE = "deployed/success_wide"
-"""The metric of episodes from `Env.starts.wide`, on tasks that have it."""
+"""The metric of episodes from `Env.starts.wide`, on tasks that have such starts."""
 WIDE_KEY = 1
-"""Folded into the key of an evaluation for wide starts, so that the ordinary ones stay as they are."""
+"""Number folded into the key of an evaluation for wide starts, so that they do not change the ordinary starts."""
 
 
 def episode(env: Env, policy: Callable, state: State, horizon: int) -> dict[str, jax.Array]:
@@ -46,7 +46,7 @@ def _action(policy: Callable, obs: jax.Array) -> jax.Array:
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError, AttributeError) as error:
         if isinstance(error, AttributeError) and "Tracer" not in str(error):  # as PyTorch's conversion raises
             raise
-        remedy = "write it in jax.numpy, or call it by jax.pure_callback (docs/custom_loops.md)"
+        remedy = "write it in jax.numpy, or call it through jax.pure_callback (docs/custom_loops.md)"
         raise InputError(f"the policy is compiled, and needs the values of its obs: {remedy}") from error
 
 
@@ -63,16 +63,17 @@ def deployed(
 ) -> dict[str, jax.Array]:
     """Return `deployed/success` and `deployed/return`, means over `episodes` fresh starts and task goals.
 
-    Starts are s0 ~ rho, the task's `uniform` or `wide` ones, or drawn by `start(key) -> State`. `pairs="balanced"` takes
-    every pair of initial state and task goal equally often (`balanced_starts`), which removes the chance of the draw from
-    the mean. Success counts at any
-    step, as in the released evaluations, whose values are exact multiples of 0.1, although the paper's text speaks of
-    returns. With `wide(key) -> State` there is also `deployed/success_wide`, of as many episodes from such starts (ours;
-    docs/formalism.md says why). They are part of the same scan, and change no other episode.
+    Starts are s0 ~ rho, the task's `uniform` or `wide` ones, or drawn by `start(key) -> State`. `pairs="balanced"` uses
+    every pair of initial state and task goal equally often (`balanced_starts`), so the mean does not depend on the luck
+    of the draw. Success at any step counts, as in the released evaluations, whose values are exact multiples of 0.1,
+    although the paper's text speaks of returns. With `wide(key) -> State`, `deployed/success_wide` is the success of as
+    many further episodes from these starts (our metric; docs/formalism.md says why). They are part of the same scan and
+    change no other episode.
 
     Raises:
-        ValueError: `pairs` or `start` is unknown, the task has no such starts, balanced ones are the initial states alone,
-            `episodes` or `horizon` are no whole number from one on, or `policy` computes outside jax.
+        ValueError: `pairs` or `start` is unknown, the task has no such starts, `balanced` is combined with other starts
+            than the initial ones, `episodes` or `horizon` is not a positive whole number, or `policy` computes outside
+            jax.
     """
     require_known("pairs", pairs, EVAL_PAIRS)
     require("episodes", episodes, EPISODES)

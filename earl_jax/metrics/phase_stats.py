@@ -1,6 +1,6 @@
-"""What happens inside a lifetime: phases that reach their goals in both directions, and an object that lies still.
+"""What happens inside a lifetime: whether phases of both directions reach their goals, and whether the object moves.
 
-These metrics are ours; docs/formalism.md says why deployed success alone does not show them.
+These metrics are ours; docs/formalism.md says why deployed success alone does not show this.
 """
 
 import jax
@@ -18,10 +18,9 @@ MOVED = 0.01
 class PhaseStats(struct.PyTreeNode):
     """Counts of one lane: [2] is the task phase and the others, int32; steps are counted from 1.
 
-    `ended [2]`, `reached [2]`: phases with a goal that have ended, and those of them that reached it; `counted [2, 2]`:
-    both at the last evaluation; `reached_at [2]`: the last step at such a goal, at first that of the start;
-    `moved_at []`: the step at which the object last moved, and `rest [k]`, float32, where it was then. Without an
-    object, `rest` is None.
+    `ended [2]`, `reached [2]`: phases with a goal that have ended, and how many of them reached it; `counted [2, 2]`:
+    both numbers at the last evaluation; `reached_at [2]`: the last step at such a goal, initially the start; `moved_at
+    []`: the step at which the object last moved; `rest [k]`, float32: its position then, None without an object.
     """
 
     ended: jax.Array
@@ -51,8 +50,8 @@ def advance_phase_stats(
 ) -> PhaseStats:
     """Return the counts after step number `step`, counted from 1, which led to `env_state`; bool scalars.
 
-    `is_task`: in the phase of the task; `phase_ended`: a phase with a goal ended with it; `at_goal`: `env_state` is at
-    this goal. A phase has reached its goal if one of its steps was there; `age []` is the number of those before this one.
+    `is_task`: the step is in the task phase; `phase_ended`: it ended a phase with a goal; `at_goal`: `env_state` is at
+    that goal. A phase reached its goal if any of its steps was at it; `age []` is the number of its earlier steps.
     """
     phase = jnp.stack([is_task, ~is_task])
     ends, reached_at = phase & phase_ended, jnp.where(phase & at_goal, step, stats.reached_at)
@@ -73,14 +72,14 @@ def phase_metrics(
 ) -> tuple[PhaseStats, dict[str, jax.Array]]:
     """Return the counts with a new window, and one lane's metrics after `step` steps.
 
-    `continuing/forward_success` and `continuing/back_success` are the shares of phases since the last evaluation that
-    reached their goal, among those that ended, however they ended: nan if none did. `continuing/alive` is 1 where each
-    of the two has reached its goal within the last `alive_steps` steps, or since the start if that is later, else 0; a
-    direction in which no phase with a goal has ended yet does not count. `continuing/still_steps` are the steps since
-    the object last moved by a centimetre (`MOVED`), as an intervention can move it too.
+    `continuing/forward_success` and `continuing/back_success` are the shares of the phases ended since the last
+    evaluation that reached their goal; nan if none ended. `continuing/alive` is 1 if both directions have reached a
+    goal within the last `alive_steps` steps, or since the start if that is later, else 0; a direction in which no phase
+    with a goal has ended yet does not count. `continuing/still_steps` is the number of steps since the object last
+    moved by a centimetre (`MOVED`), which an intervention can also cause.
 
-    Tasks with a dense reward have no goals to reach, and methods with one phase no return phase: they have the columns that
-    make sense for them.
+    Tasks with a dense reward have no goals to reach, and methods with one phase have no return phase; they have only
+    the columns that make sense for them.
     """
     counts = jnp.stack([stats.ended, stats.reached])
     ended, reached = counts - stats.counted

@@ -1,8 +1,8 @@
 """The score of a run, which every command prints, and the paper's three scores of a whole lifetime.
 
-Source of the latter: Sharma et al. 2022, section 4.1: deployed and continuing policy evaluation.
+Source of the three scores: Sharma et al. 2022, section 4.1: deployed and continuing policy evaluation.
 
-Arguments are NumPy or JAX arrays, inside `jit` and `vmap` too, and results are of the same kind.
+Arguments are NumPy or JAX arrays, also inside `jit` and `vmap`, and results are of the same kind.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from earl_jax.metrics.statistics import Estimate, namespace_of
 from earl_jax.options.values import COUNT, counted, require
 
 SHARE, FEWEST = 0.1, 5
-"""The score of a seed is its mean over the evaluations of this last share of a run, and over so many evaluations at least."""
+"""A seed's score is its mean over the evaluations in this last share of a run, but over at least `FEWEST` of them."""
 SUCCESS = "deployed/success"
 CONTINUING = "continuing/reward"
 RATES = frozenset({SUCCESS, WIDE, FORWARD, BACK, ALIVE, DIVERGED, OVER})
@@ -30,7 +30,7 @@ RATES = frozenset({SUCCESS, WIDE, FORWARD, BACK, ALIVE, DIVERGED, OVER})
 def as_decimals(values: np.ndarray) -> np.ndarray:
     """Return the shortest decimals, as float64, that round to the float32 `values`; integers stay as they are.
 
-    Means of equal shares are then equal, which lets tests count ties, and tables are a third smaller.
+    Means of equal shares are then equal, so that tests can count ties, and tables are a third smaller.
     """
     return values.astype(str).astype(float) if values.dtype.kind == "f" else values
 
@@ -39,8 +39,8 @@ def as_decimals(values: np.ndarray) -> np.ndarray:
 class Window:
     """The evaluations at the end of a run over which a seed is scored: its last tenth, and at least five of them.
 
-    `last` evaluations, or those of the last `steps` steps, take the place of the tenth. Both, or one below 1, are a
-    ValueError, which has the names of the arguments `--last` and `--window` of a command.
+    The `last` evaluations, or those of the last `steps` steps, replace the tenth. Giving both, or a number below 1,
+    raises a ValueError, which uses the names of the command-line arguments `--last` and `--window`.
     """
 
     last: int | None = None
@@ -54,7 +54,7 @@ class Window:
                 require(name, value, COUNT)
 
     def count(self, steps: np.ndarray) -> int:
-        """Return the number of evaluations that count of those at `steps [E]`, at most E."""
+        """Return how many of the evaluations at `steps [E]` count, at most E."""
         if self.last is not None:
             return min(self.last, len(steps))
         if self.steps is not None:
@@ -63,7 +63,7 @@ class Window:
 
     @property
     def text(self) -> str:
-        """What the score is a mean over, for a note below a table."""
+        """The evaluations that the score averages, in words, for a note below a table."""
         if self.last is not None:
             return "the last evaluation" if self.last == 1 else f"the last {self.last} evaluations"
         if self.steps is not None:
@@ -89,8 +89,8 @@ def final_scores(steps: np.ndarray, values: Any, window: Window = DEFAULT) -> An
 def score_interval(scores: np.ndarray, metric: str, deployed: str) -> Estimate:
     """Return the mean of `scores [N]` of the seeds with its 95 % interval, within [0, 1] if the `metric` is a rate.
 
-    Of curves [N, E] it is the `band`. `deployed` is the task's deployed metric. The reward per step is a rate where the
-    task's rewards are 0 and 1, but a life is no trial: its ends are nan where no seed differs.
+    For curves [N, E] it is the `band`. `deployed` is the task's deployed metric. The reward per step is a rate if the
+    task's rewards are 0 and 1, but a life is not a trial: the ends are nan if all seeds agree.
     """
     if scores.ndim == 1 and metric.startswith("continuing/") and metric not in RATES:
         sample = Sample.of(scores)
@@ -104,8 +104,8 @@ def score_interval(scores: np.ndarray, metric: str, deployed: str) -> Estimate:
 class Score(NamedTuple):
     """The score of a run: the mean over seeds of `final_scores [N]` of a `metric`, with its 95 % interval `low` to `high`.
 
-    `evaluations` is how many evaluations of each seed are averaged, from step `first` to step `last`. With fewer than three
-    seeds the ends of the interval are nan.
+    `evaluations` is the number of evaluations that are averaged for each seed, from step `first` to step `last`. With
+    fewer than three seeds, the ends of the interval are nan.
     """
 
     metric: str
@@ -126,7 +126,7 @@ class Score(NamedTuple):
         `deployed` is the task's deployed metric.
 
         Raises:
-            ValueError: there is no evaluation, or `window` is no `Window`.
+            ValueError: there is no evaluation, or `window` is not a `Window`.
         """
         require_window(window)
         if not len(steps):
@@ -136,7 +136,7 @@ class Score(NamedTuple):
         return cls(metric, *interval, tuple(scores.tolist()), count, int(steps[-count]), int(steps[-1]))
 
     def __str__(self) -> str:
-        """Return the score in one line, with what it is a mean of."""
+        """Return the score in one line, with the seeds and evaluations that it averages."""
         interval = "" if np.isnan(self.low) else f" [{self.low:.3f}, {self.high:.3f}]"
         seeds = counted(len(self.scores), "seed")
         which = f"the evaluation at step {self.last:,}"
@@ -146,7 +146,7 @@ class Score(NamedTuple):
 
 
 class Scores(NamedTuple):
-    """Scores of lifetimes, such as [N] of N seeds.
+    """Scores of lifetimes, for example arrays [N] for N seeds.
 
     `final [...]`: J_D of the last policy. `deployed [...]`: the deployed curve averaged over the lifetime. `continuing
     [...]`: C(A), the task reward per step of the lifetime.
@@ -158,7 +158,7 @@ class Scores(NamedTuple):
 
 
 def lifetime_scores(steps: Any, metrics: dict[str, Any], metric: str) -> Scores:
-    """Return the scores of lives evaluated at `steps [E]`, from `metrics` [..., E]; `metric` names the deployed one."""
+    """Return the scores of lives evaluated at `steps [E]`, from `metrics [..., E]`; `metric` names the deployed one."""
     for name in (metric, CONTINUING):
         require_known("metric", name, metrics)
     scores = metrics[metric]
@@ -172,10 +172,10 @@ def deployed_area(steps: Any, scores: Any) -> Any:
     need an evaluation at every step.
 
     Raises:
-        ValueError: there are not as many `steps` as scores of a curve.
+        ValueError: the number of `steps` differs from the number of scores in a curve.
     """
     if np.shape(steps) != np.shape(scores)[-1:]:
-        raise InputError(f"steps {np.shape(steps)} and scores {np.shape(scores)} are not those of the same evaluations")
+        raise InputError(f"steps {np.shape(steps)} and scores {np.shape(scores)} do not belong to the same evaluations")
     return (scores * namespace_of(steps).diff(steps, prepend=0)).sum(axis=-1) / steps[-1]
 
 

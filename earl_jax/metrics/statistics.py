@@ -2,8 +2,8 @@
 
 Source: Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice", section 4.
 
-Every function takes NumPy arrays, and returns numbers in float64, or JAX arrays, inside `jit` and `vmap` too, and returns
-JAX arrays. Both resample the same seeds, so their intervals agree to rounding.
+Every function accepts NumPy arrays and returns float64 numbers, or accepts JAX arrays, also inside `jit` and `vmap`,
+and returns JAX arrays. Both resample the same seeds, so their intervals agree up to rounding.
 """
 
 from typing import Any, NamedTuple
@@ -16,19 +16,19 @@ RESAMPLES = 2000
 
 
 class Estimate(NamedTuple):
-    """A number with its 95 % interval, whose ends are nan if there are too few seeds."""
+    """A number with its 95 % interval; the ends are nan if there are too few seeds."""
 
     value: Any
     low: Any
     high: Any
 
     def columns(self, name: str, prefix: str = "") -> dict[str, Any]:
-        """Return the columns `name`, `low` and `high` of a row; the last two start with `prefix`."""
+        """Return the columns `name`, `low` and `high` for a row; the names of the last two start with `prefix`."""
         return dict(zip((name, f"{prefix}low", f"{prefix}high"), self, strict=True))
 
     @classmethod
     def of_row(cls, row: dict[str, Any], name: str) -> "Estimate":
-        """Return the estimate whose `columns` are in `row`: the ends start with `name`, or with nothing if none do."""
+        """Return the estimate from its `columns` in `row`; the names of the ends can start with `name` and `_`."""
         prefix = f"{name}_" if f"{name}_low" in row else ""
         return cls(row[name], row[f"{prefix}low"], row[f"{prefix}high"])
 
@@ -47,19 +47,19 @@ class Summary(NamedTuple):
 def namespace_of(*arrays: Any) -> Any:
     """Return the array module of `arrays`: `jax.numpy` if one of them is a JAX array or traced, else `numpy`.
 
-    It is the array API's `__array_namespace__`; lists and Python numbers count as NumPy's.
+    It is the array API's `__array_namespace__`; lists and Python numbers count as NumPy arrays.
     """
     modules = [array.__array_namespace__() for array in arrays if hasattr(array, "__array_namespace__")]
     return next((module for module in modules if module is not np), np)
 
 
 def as_float(value: Any) -> Any:
-    """Return a NumPy scalar as a Python float, which tables and JSON take; a JAX array as it is."""
+    """Return a NumPy scalar as a Python float, which tables and JSON accept; a JAX array stays as it is."""
     return float(value) if namespace_of(value) is np else value
 
 
 def stderr(scores: Any) -> Any:
-    """Return the standard error over the first axis: population deviation / sqrt(n), as in the paper; nan of one seed."""
+    """Return the standard error over the first axis: population deviation / sqrt(n) (paper); nan for one seed."""
     seeds = np.shape(scores)[0]
     return namespace_of(scores).std(scores, axis=0) / (np.sqrt(seeds) if seeds > 1 else np.nan)
 
@@ -80,7 +80,7 @@ def iqm(scores: Any, axis: int | None = None) -> Any:
 def bootstrap(scores: Any, statistic=iqm) -> tuple[Any, Any]:
     """Return the 95 % percentile interval of `statistic` over `scores [seeds, tasks]`, resampling seeds within each task.
 
-    The scores of a single task can have the shape [seeds]. The same scores have the same interval; it is nan for one seed.
+    Scores of a single task can have the shape [seeds]. The interval is deterministic; it is nan for one seed.
     """
     xp = namespace_of(scores)
     table = xp.asarray(scores, float).reshape(len(scores), -1)
@@ -89,9 +89,9 @@ def bootstrap(scores: Any, statistic=iqm) -> tuple[Any, Any]:
 
 
 def resampled(scores: Any, rng: np.random.Generator) -> Any:
-    """Return `scores [N, tasks, ...]` with the seeds of each task drawn again, `RESAMPLES` times, [R, N, tasks, ...].
+    """Return `RESAMPLES` resamples [R, N, tasks, ...] of `scores [N, tasks, ...]`; seeds are redrawn within each task.
 
-    A single seed gives nan, because it does not tell how seeds differ.
+    A single seed gives nan, because it does not show how seeds differ.
     """
     picks = rng.integers(len(scores), size=(RESAMPLES, *scores.shape[:2]))
     drawn = scores[picks, np.arange(scores.shape[1])]
@@ -115,12 +115,12 @@ def summarise(scores: Any) -> Summary:
 def relative_drop(before: Any, after: Any) -> Estimate:
     """Return 1 - mean(`after`) / mean(`before`) of the same seeds, [seeds] each, with its bootstrap interval.
 
-    Seeds are resampled in pairs. Resamples whose mean of `before` is not positive are left out, and the result is nan if
-    that of `before` is not.
-    Source: Sharma et al. 2022, figure 4, the loss of success from starts that differ from those of training.
+    Seeds are resampled in pairs. Resamples in which the mean of `before` is not positive are left out, and the result
+    is nan if the mean of `before` itself is not positive. Source: Sharma et al. 2022, figure 4, the loss of success
+    from starts that differ from those of training.
 
     Raises:
-        ValueError: the two have different numbers of seeds.
+        ValueError: `before` and `after` have different numbers of seeds.
     """
     xp = namespace_of(before, after)
     before, after = xp.asarray(before, float), xp.asarray(after, float)

@@ -1,8 +1,8 @@
-"""Measures of a map of visited positions: its spread, its distance to given places, and the shares near these and in corners.
+"""Measures of a map of visited positions: spread, distance to given places, and shares near places and in corners.
 
 Source: Sharma et al. 2022, figure 3, whose text says that resets keep an agent near the initial and goal distributions
-and that without them it goes further away, into the corners. The paper prints no measure; these are ours. All functions
-take NumPy or JAX arrays and can be traced by `jit`.
+and that without resets it moves further away, into the corners. The paper prints no measure; these are ours. All
+functions accept NumPy or JAX arrays and can be traced by `jit`.
 """
 
 import math
@@ -14,7 +14,7 @@ from earl_jax.metrics.statistics import as_float, namespace_of
 
 MEASURES = ("covered", "entropy", "concentration")
 TOP_SHARE = 0.01
-"""The share of bins, the most visited ones, whose visits `concentration` sums."""
+"""`concentration` is the share of visits in this share of bins, the most visited ones."""
 CORNER = 0.1
 """Side of a corner of the map, as a share of the map's side."""
 
@@ -22,7 +22,7 @@ CORNER = 0.1
 def measure(visits: Any) -> dict[str, Any]:
     """Return `covered`, `entropy` and `concentration` of `visits [B, B]`, all between 0 and 1, and 0 without visits.
 
-    Numbers of a NumPy array; arrays [] of a JAX array, inside `jit` and `vmap` too.
+    The values are numbers for a NumPy array, and arrays [] for a JAX array, also inside `jit` and `vmap`.
     """
     xp = namespace_of(visits)
     flat = xp.sort(xp.asarray(visits, float).ravel())[::-1]
@@ -42,7 +42,7 @@ def bin_centres(map_bounds: np.ndarray, bins: int) -> np.ndarray:
 
 
 def mean_distance(visits: Any, map_bounds: np.ndarray, places: np.ndarray) -> Any:
-    """Return the mean over `visits` [..., B, B] of the distance from the bin's centre to the nearest of `places` [K, 2].
+    """Return the distance from a bin's centre to the nearest of `places` [K, 2], averaged over `visits` [..., B, B].
 
     The result [...] is in the unit of the map, and 0 without visits.
     """
@@ -50,7 +50,7 @@ def mean_distance(visits: Any, map_bounds: np.ndarray, places: np.ndarray) -> An
 
 
 def share_near(visits: Any, map_bounds: np.ndarray, places: np.ndarray, radius: float) -> Any:
-    """Return the share [...] of `visits` [..., B, B] in bins with their centre within `radius` of one of `places` [K, 2]."""
+    """Return the share [...] of `visits` [..., B, B] in bins whose centre is within `radius` of any `places` [K, 2]."""
     near = _to_nearest(map_bounds, visits.shape[-1], places) <= radius
     return _mean(visits, near.astype(float))
 

@@ -115,7 +115,7 @@ def test_a_policy_of_numpy_is_called_from_the_program_or_refused_with_the_way(en
     dense = dataclasses.replace(env, reward_type="dense")
     expected = deployed(dense, lambda obs: jnp.tanh(obs[:3]), KEY, 5, 2)["deployed/return"]
     assert float(deployed(dense, called, KEY, 5, 2)["deployed/return"]) == pytest.approx(float(expected), rel=1e-4)
-    with pytest.raises(InputError, match=r"call it by jax\.pure_callback"):
+    with pytest.raises(InputError, match=r"call it through jax\.pure_callback"):
         deployed(env, policy, KEY, 5, 2)
     with pytest.raises(InputError, match=r"write it in jax\.numpy"):
         deployed(env, lambda obs: jnp.zeros(3) if obs[0] > 0 else jnp.ones(3), KEY, 5, 2)

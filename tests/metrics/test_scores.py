@@ -33,7 +33,7 @@ def test_a_lifetime_has_three_scores_and_its_area_weights_an_evaluation_by_the_s
         lifetime_scores(STEPS, metrics, "success")
     with pytest.raises(ValueError, match="unknown metric 'continuing/reward'; choose from deployed/success"):
         lifetime_scores(STEPS, {"deployed/success": metrics["deployed/success"]}, "deployed/success")
-    with pytest.raises(ValueError, match=r"steps \(1,\) and scores \(2, 2\) are not those of the same evaluations"):
+    with pytest.raises(ValueError, match=r"steps \(1,\) and scores \(2, 2\) do not belong to the same evaluations"):
         lifetime_scores(STEPS[:1], metrics, "deployed/success")
 
 
