@@ -1,4 +1,4 @@
-"""Files that ship with the code, in a checkout and in a wheel, and demonstrations in files of users."""
+"""Files that ship with the code, in a checkout or in a wheel, and demonstration files of users."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Demos(NamedTuple):
 
 
 def spans(ends: np.ndarray) -> list[slice]:
-    """Return the rows of each demonstration, from its first to its last transition, which `ends [T]` of `Demos` marks."""
+    """Return the rows of each demonstration as slices; `ends [T]` marks the last transition of each (see `Demos`)."""
     stops = (ends[:-1].nonzero()[0] + 1).tolist()
     return [slice(*span) for span in itertools.pairwise([0, *stops, len(ends)])]
 
@@ -77,8 +77,8 @@ def demos(name: str, direction: str) -> Demos:
     """Return the forward or backward demonstrations of task `name`, or of the npz file at that path, as read-only arrays.
 
     Raises:
-        ValueError: the task or the file has no such demonstrations, or the direction is unknown; the message lists the choices.
-            Or they are not as `checked_demos` requires, or the file has changed since this process read it.
+        ValueError: the task or file has no such demonstrations, or the direction is unknown (the message lists the
+            choices); they fail `checked_demos`; or the file has changed since this process read it.
     """
     require_known("direction", direction, DIRECTIONS)
     path = _file("demos", name, ".npz")
@@ -88,7 +88,7 @@ def demos(name: str, direction: str) -> Demos:
 
 
 def require_unchanged(path: Path, changed: int) -> None:
-    """Raise an InputError unless the file at `path` was last `changed` at this time in ns, when this process read it."""
+    """Raise an InputError unless `path` was last changed at `changed`, in ns, the time when this process read it."""
     if path.stat().st_mtime_ns != changed:  # compiled programs have the first content
         raise InputError(
             f"{path} has changed since this process read it: restart it, or choose another name for the new file"
@@ -118,8 +118,8 @@ def checked_demos(demos: Demos) -> Demos:
     """Return `demos` with the types of `Demos`.
 
     Raises:
-        ValueError: there are none, their arrays do not fit together, a number is not finite, an action is outside [-1, 1],
-            or a demonstration has a gap or no end.
+        ValueError: there are no transitions, the arrays do not fit together, a number is not finite, an action is
+            outside [-1, 1], or a demonstration has a gap or no end.
     """
     import numpy as np
 
@@ -136,7 +136,7 @@ def checked_demos(demos: Demos) -> Demos:
     if (np.abs(demos.actions) > 1).any():
         raise InputError("the actions have values outside [-1, 1]")
     if not demos.ends[-1]:
-        raise InputError("the last one stops in the middle of an episode")
+        raise InputError("the last demonstration stops in the middle of an episode")
     follows = np.isclose(demos.states[1:], demos.next_states[:-1], rtol=1e-4, atol=1e-4).all(axis=1) | demos.ends[:-1]
     if not follows.all():
         row = int(np.argmin(follows))
@@ -161,7 +161,7 @@ def demo_directions(name: str) -> tuple[str, ...]:
 
 
 def _arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return those arrays of an npz file that have one of `names`; the file can be a user's own."""
+    """Return the arrays called `names` from an npz file, which can be a user's own, as far as it contains them."""
     try:
         return load_npz(read_bytes(path), names)
     except InputError as error:
@@ -186,7 +186,7 @@ def _shipped(path: Path) -> dict[str, np.ndarray]:
 
 
 def starts(name: str) -> dict[str, np.ndarray]:
-    """Return the file of starts of task `name`, states at rest or settled, as read-only float32 arrays [N, ...] by name.
+    """Return the stored starts of task `name`, which are settled states, as read-only float32 arrays [N, ...] by name.
 
     Raises:
         ValueError: the task has no such file; the message lists the choices.
@@ -195,7 +195,7 @@ def starts(name: str) -> dict[str, np.ndarray]:
 
 
 def list_pretrained() -> dict[str, list[str]]:
-    """Return the methods of which trained policies ship, by task, both sorted."""
+    """Return for each task the methods whose trained policies ship, both sorted."""
     files = sorted((root() / "pretrained").glob("*/*.json"))
     tasks = dict.fromkeys(path.parent.name for path in files)
     return {task: [path.stem for path in files if path.parent.name == task] for task in tasks}
@@ -207,14 +207,14 @@ def pretrained(task: str, method: str) -> tuple[dict[str, Any], dict[str, np.nda
 
 
 def pretrained_info(task: str, method: str) -> dict[str, Any]:
-    """Return what is known of the trained policies of `method` on `task`, as plain values.
+    """Return information on the shipped trained policies of `method` on `task`, as plain values.
 
-    `config` is that of the run, with the versions and the commit that it was made with; `step`, the training steps;
-    `seeds`, those that ship; `deployed/success` and `deployed/return`, their scores over `episodes` greedy episodes of
-    the float16 actors; `run`, the mean of the last `evaluations` evaluations of every seed of the run.
+    `config`: the config of the run, with the versions and the commit that made it; `step`: the training steps; `seeds`:
+    the seeds whose policies ship; `deployed/success` and `deployed/return`: their scores over `episodes` greedy
+    episodes of the float16 actors; `run`: the mean of the last `evaluations` evaluations for every seed of the run.
 
     Raises:
-        ValueError: none ship; the message lists the choices.
+        ValueError: no such policies ship; the message lists the choices.
     """
     shipped = list_pretrained()
     if task not in shipped:
@@ -225,7 +225,7 @@ def pretrained_info(task: str, method: str) -> dict[str, Any]:
 
 
 def published(table: str) -> list[dict[str, str]]:
-    """Return a table of published results (`table1`, `table2`, `steps`, ...) as rows of text by column, to keep or change.
+    """Return a table of published results (`table1`, `table2`, `steps`, ...) as rows of text by column; a fresh copy.
 
     Raises:
         ValueError: there is no such table; the message lists the choices.
@@ -240,7 +240,7 @@ def _read_published(table: str) -> list[dict[str, str]]:
 
 
 def published_row(table: str, **where: str) -> dict[str, str]:
-    """Return the first row of a published table with the values `where` by column, or {} without such a row."""
+    """Return the first row of a published table whose columns have the values `where`, or {} if there is none."""
     return next((dict(row) for row in _read_published(table) if where.items() <= row.items()), {})
 
 
@@ -248,10 +248,10 @@ def released_runs(task: str, method: str) -> dict[str, np.ndarray]:
     """Return the released evaluations of the paper's five seeds: `steps [E]`, and float32 [5, E] of `deployed` and `continuing`.
 
     `deployed` is a success rate or a return, `continuing` the reward per step so far. What was not released is missing.
-    Source: arrays of the repository earl_benchmark at commit b05b000, up to the shortest seed. They have no steps. The world
-    of naive RL, FBRL and VaPRL is put back two rows before multiples of the horizon, so their first row is after 20,000 steps,
-    presumably 10,000 random ones and 10,000 of training. The oracle's is taken to be so too. R3L's is after one interval.
-    Arrays are read-only.
+    Source: arrays of the repository earl_benchmark at commit b05b000, up to the shortest seed. They contain no steps.
+    For naive RL, FBRL and VaPRL the environment is reset two rows before multiples of the horizon, so their first row
+    is after 20,000 steps, presumably 10,000 random steps and 10,000 of training. We assume the same for the oracle.
+    R3L's first row is after one interval. Arrays are read-only.
     """
     own, curves = f"{task}/{method}/", _shipped(root() / "published" / "curves.npz")
     return {name.removeprefix(own): array for name, array in curves.items() if name.startswith(own)}

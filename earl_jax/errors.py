@@ -1,4 +1,4 @@
-"""The error that means invalid input, as opposed to an error in the code of a task, of a method or of this package."""
+"""The error for invalid input, as opposed to errors in the code of a task, a method or this package."""
 
 import importlib
 import inspect
@@ -17,7 +17,7 @@ from typing_extensions import Format, get_annotations
 
 PACKAGE = Path(__file__).parent
 SIMILAR = 0.82
-"""The ratio of difflib from which a name of a member counts as a misspelling of another."""
+"""The ratio of difflib from which the name of a member counts as a misspelling of another."""
 LIBRARIES = [Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "purelib", "platlib")]
 
 
@@ -41,7 +41,7 @@ def optional(module: str, need: str, extra: str) -> Any:
     """Return a `module` of an optional library.
 
     Raises:
-        InputError: it is not installed; the message is the `need`, the library and the line that installs the `extra`.
+        InputError: the library is not installed; the message gives the `need`, the library and how to install `extra`.
     """
     try:
         return importlib.import_module(module)
@@ -50,17 +50,17 @@ def optional(module: str, need: str, extra: str) -> Any:
 
 
 def choices(name: Any, names: Iterable[str]) -> str:
-    """Return `names` for the message about an unknown `name`, after the one that it resembles most, if any does."""
+    """Return `names` for the message about an unknown `name`, with the most similar one first if there is one."""
     text, names = str(name).lower(), list(names)
     near = get_close_matches(text, names, 1) or [known for known in names if len(text) > 2 and text in known]
     return f"did you mean {near[0]!r}? Choose from {', '.join(names)}" if near else f"choose from {', '.join(names)}"
 
 
 def check_overrides(cls: type) -> None:
-    """Raise an InputError if a member of `cls` is meant to override another and does not, or not as its callers expect.
+    """Raise an InputError if a member of `cls` seems meant to override another but does not, or has other arguments.
 
-    That is a public member, no option, that is nearly called as one that it could override, or a method that overrides one
-    of this package and takes other arguments, or another order.
+    This applies to a public member (not an option) whose name nearly equals one that it could override, and to a method
+    that overrides a method of this package with other arguments or in another order.
     """
     own = vars(cls)
     inherited = {name for base in cls.__mro__[1:] for name in (*vars(base), *annotations(base))}
@@ -84,7 +84,7 @@ def check_overrides(cls: type) -> None:
 
 
 def annotations(cls: type) -> dict[str, Any]:
-    """Return the annotations of the class itself, where a name that is unknown is left as it is written."""
+    """Return the annotations of the class itself; unknown names in them stay as text."""
     return get_annotations(cls, format=Format.FORWARDREF)
 
 
@@ -93,13 +93,13 @@ def _is_method(value: Any) -> bool:
 
 
 def require_known(kind: str, name: Any, names: Collection[str]) -> None:
-    """Raise an InputError with the `names` to choose from if `name` is none of them; `kind` says what they name."""
+    """Raise an InputError that lists `names` if `name` is not among them; `kind` says what they name."""
     if not isinstance(name, str) or name not in names:
         raise InputError(f"unknown {kind} {brief(name)}; {choices(name, names)}")
 
 
 def brief(value: Any) -> str:
-    """Return `value` as text of at most some hundred characters, for a message."""
+    """Return `value` as text of at most a few hundred characters, for a message."""
     try:
         return " ".join(reprlib.repr(value.tolist() if hasattr(value, "tolist") else value).splitlines())
     except ValueError:  # Python writes no numbers of thousands of digits
@@ -107,15 +107,15 @@ def brief(value: Any) -> str:
 
 
 def printable(text: str) -> str:
-    """Return `text` with escapes in the place of letters that cannot be printed, which would break a line or hide text."""
+    """Return `text` with escapes for unprintable characters, which could break the line or hide text."""
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
 def is_input_error(error: BaseException) -> bool:
-    """Return whether the message of `error` says all: invalid input, or a file that cannot be read or written.
+    """Return whether `error` needs no traceback: it means invalid input, or a file that cannot be read or written.
 
-    An OSError that passes through code from outside this package and the installed ones comes from the code of a task
-    or a method, and is not one.
+    An OSError that passes through code outside this package and the installed packages does not count, because it comes
+    from the code of a task or a method.
     """
     if not isinstance(error, OSError):
         return isinstance(error, InputError)

@@ -1,4 +1,4 @@
-"""The reader of npz files, which can come from anyone."""
+"""The reader of npz files, which may be untrusted."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 MAX_BYTES = 512 << 20
 """Size limit of a file, of the arrays in it, and of the float32 arrays made from them: millions of transitions."""
 MAX_MEMBERS = 10_000
-"""Limit for the list of members of an npz, which zipfile reads whole."""
+"""Largest number of members in an npz, because zipfile reads the whole list of them."""
 FREE_BYTES = 64 << 20
 MAX_RATIO = 100
-"""Arrays larger than `FREE_BYTES` may have so many times the size of the file."""
+"""Arrays larger than `FREE_BYTES` may have at most this many times the size of the file."""
 COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """zipfile unpacks other compressions beyond the size that a member declares."""
 
@@ -42,10 +42,10 @@ def read_bytes(path: Path) -> bytes:
 
 
 def load_npz(data: bytes, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the arrays of an npz file that have one of `names`; no other member is read.
+    """Return the arrays called `names` from the npz file with the content `data`; other members are not read.
 
     Raises:
-        ValueError: the file is damaged, one of these arrays holds more than numbers and bools, or they are too large.
+        ValueError: the file is damaged, one of these arrays has more than numbers and bools, or they are too large.
     """
     import numpy as np  # commands that read files without arrays start faster without it
 
@@ -65,7 +65,7 @@ def load_npz(data: bytes, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _check_sizes(data: bytes, files: set[str]) -> None:
-    """Check the sizes that an npz declares: zipfile and NumPy take no more memory than that."""
+    """Check the sizes that an npz declares: zipfile and NumPy use no more memory than declared."""
     if data.count(b"PK\1\2") > MAX_MEMBERS:
         raise InputError(f"it has more than {MAX_MEMBERS} members")
     with zipfile.ZipFile(io.BytesIO(data)) as archive:

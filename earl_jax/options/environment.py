@@ -1,17 +1,17 @@
-"""What a process may use of its machine: cores, a share of a device's memory, jax (not imported before), other processes."""
+"""What a process may use on its machine: cores, a share of a device's memory, jax (not imported), other processes."""
 
 import os
 import sys
 from pathlib import Path
 
 FRACTION = "XLA_PYTHON_CLIENT_MEM_FRACTION"
-"""Variable of jax: the part of a GPU's memory that this process may take."""
+"""Environment variable of jax: the share of a GPU's memory that this process may use."""
 PER_DEVICE = "EARL_JAX_PER_DEVICE"
-"""Variable of a sweep's worker: the number of programs that share its GPU, or the memory of a machine without one."""
+"""Environment variable of a sweep's worker: the number of programs that share its GPU, or the memory without a GPU."""
 PYTHON = (sys.executable, "-P")
-"""The command of another Python process. With -P, a json.py of the user in the current folder does not replace Python's own."""
+"""The command of another Python process. With -P, a json.py in the current folder does not replace Python's own."""
 CPU_LIMIT = Path("/sys/fs/cgroup/cpu.max")
-"""The microseconds of cores that a container may use in a period, and those of the period; `max` without a limit."""
+"""File with the core microseconds that a container may use per period (`max`: no limit), and the period's length."""
 
 
 def own_cores() -> list[int]:
@@ -22,7 +22,7 @@ def own_cores() -> list[int]:
 
 
 def core_count() -> int:
-    """Return the number of cores that this process may keep busy: those that it may use, or fewer in a limited container."""
+    """Return the number of cores that this process may keep busy: its own cores, or fewer in a limited container."""
     try:
         quota, period = map(int, CPU_LIMIT.read_text().split())
     except (OSError, ValueError):
@@ -31,7 +31,7 @@ def core_count() -> int:
 
 
 def module_path() -> str:
-    """Return the PYTHONPATH with which another process finds modules where this one does."""
+    """Return the PYTHONPATH with which another process finds the same modules as this one."""
     return os.pathsep.join(sys.path)
 
 

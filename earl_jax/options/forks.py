@@ -1,6 +1,6 @@
-"""Processes that were forked after jax had started: jax waits in them for ever, for threads that only the parent has.
+"""Processes that were forked after jax had started: in them, jax waits forever for threads that only the parent has.
 
-The package imports this module with its name, before a user can fork. It loads no jax.
+The package imports this module when it is imported itself, before a user can fork. This module does not load jax.
 """
 
 import os
@@ -12,7 +12,7 @@ _after_jax = False
 
 
 def _note_fork() -> None:
-    """Note whether jax has started; of a release without this function nothing is known."""
+    """Note whether jax has started; this stays unknown in a release of jax without the function that tells."""
     global _after_jax
     bridge = sys.modules.get("jax._src.xla_bridge")
     _after_jax = getattr(bridge, "backends_are_initialized", bool)()
@@ -26,7 +26,7 @@ def require_jax() -> None:
     """Check that jax can compute in this process.
 
     Raises:
-        ValueError: it was forked after jax had started.
+        ValueError: this process was forked after jax had started.
     """
     if _after_jax:
         raise InputError(

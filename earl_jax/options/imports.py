@@ -1,6 +1,7 @@
 """Files with tasks, methods and learners of a user, which `--import` and sweep files name.
 
-A process first notes a file with the hash of its text, which loads no jax, and later runs it, if the text is still the same.
+A process first notes a file with the hash of its text, which does not load jax, and later runs the file if the text has
+not changed.
 """
 
 import hashlib
@@ -15,7 +16,7 @@ from earl_jax.errors import InputError, brief
 from earl_jax.options import registry
 
 Record = dict[str, str]
-"""What a run records of a file: `file`, its path as given, and `sha256`, the hash of its text."""
+"""What a run records about a file: `file`, its path as given, and `sha256`, the hash of its text."""
 _noted: dict[Path, Record] = {}
 
 
@@ -31,7 +32,7 @@ def resume_command(folder: Path) -> str:
 
 
 def latest(values: list[Record]) -> dict[str, Record]:
-    """Return the last record of each file by its name, without the folder."""
+    """Return the last record of each file, by file name without the folder."""
     return {Path(record["file"]).name: record for record in values}
 
 
@@ -41,7 +42,7 @@ def short_hash(record: Record) -> str:
 
 
 def check_records(values: Any) -> None:
-    """Raise an InputError unless `values` are a list of records, as a config.json may not have them."""
+    """Raise an InputError unless `values`, which come from a config.json, are a list of records."""
     is_list = isinstance(values, list) and all(isinstance(record, dict) for record in values)
     texts = [record.get(key) for record in values for key in ("file", "sha256")] if is_list else [None]
     if not all(isinstance(text, str) and text.isprintable() for text in texts):
@@ -49,7 +50,7 @@ def check_records(values: Any) -> None:
 
 
 def note(file: str | Path, sha256: str | None = None) -> None:
-    """Note `file` for `run_noted`, with the `sha256` that its text must have then, by default that of its present text.
+    """Note `file` for `run_noted`, with the `sha256` that its text must have then; by default its present hash.
 
     Raises:
         ValueError: there is no such file, or its name does not end in .py.
@@ -66,8 +67,8 @@ def note(file: str | Path, sha256: str | None = None) -> None:
 def run_noted() -> None:
     """Run every noted file that has not run in this process, as a module.
 
-    Meanwhile its folder is first on the path, so that it finds the modules beside it, and then last, so that these hide
-    no others.
+    While a file runs, its folder is first on the path, so that it finds modules beside it. Later the folder is last, so
+    that these modules hide no others.
 
     Raises:
         ValueError: a file has changed, registers nothing, or has the name of another module. Other errors in a file keep

@@ -1,4 +1,4 @@
-"""The settings of jax on which numbers depend: those that the package fixes, and those that a run records."""
+"""The settings of jax that affect numbers: those that the package fixes, and those that a run records."""
 
 import contextlib
 from collections.abc import Iterator
@@ -16,15 +16,15 @@ RECORDED: dict[str, Any] = {
     "jax_random_seed_offset": 0,
     "jax_threefry_partitionable": True,
 }
-"""Settings that change the numbers of a run, with jax's defaults, which all runs had before config.json recorded them."""
+"""Settings that change the numbers of a run, with jax's defaults, which runs used before config.json recorded them."""
 
 
 @contextlib.contextmanager
 def package_types() -> Iterator[None]:
     """A context and a decorator in which jax has the types and rules that this package is written for.
 
-    Numbers are float32 and int32, shapes and types promote as they do by default, and implicit transfers and the use of a
-    key by several functions are allowed, whatever the variables of the process or the program around it say.
+    Numbers are float32 and int32, shapes and types are promoted as by default, and implicit transfers and reuse of keys
+    are allowed, whatever the environment variables or the surrounding program have set.
     """
     with (
         jax.enable_x64(False),
@@ -42,7 +42,7 @@ def recorded_settings() -> dict[str, Any]:
 
 
 def require_settings(recorded: Any, source: str) -> None:
-    """Raise an InputError if a setting in `recorded`, those of the run `source`, has another value in this process."""
+    """Raise an InputError if a setting in `recorded`, from the run `source`, has another value in this process."""
     if not isinstance(recorded, dict):
         raise InputError(f"{source} is damaged: jax must be a dict, not {brief(recorded)}")
     for name, now in recorded_settings().items():

@@ -1,4 +1,4 @@
-"""Settings by name: seeds, a schedule and options of a learner that go together, for the shell, sweep files and Python.
+"""Presets: seeds, a schedule and learner options that belong together, for the shell, sweep files and Python.
 
 Importing this module loads neither NumPy nor jax.
 """
@@ -12,14 +12,14 @@ from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import SEEDS
 
 ALGO = "fbrl"
-"""The method that `train` takes by default."""
+"""The method that `train` uses by default."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Preset:
-    """What a name stands for: seeds, a schedule and `options` that differ from the defaults.
+    """What a preset stands for: seeds, a schedule and `options` that differ from the defaults.
 
-    With `published_steps`, the steps are those of the paper for the task.
+    With `published_steps`, a run has the paper's number of steps for the task.
     """
 
     summary: str = ""
@@ -60,10 +60,10 @@ PRESETS = {
 def preset(name: str, env: str | None = None, **changes: Any) -> dict[str, Any]:
     """Return the keyword arguments of `train` that the preset `name` stands for on the task `env`, with `changes`.
 
-    They include the seeds and the schedule. A preset of the published length needs `env`, or the steps in `changes`.
+    The result includes the seeds and the schedule. A preset of the published length needs `env`, or `steps`.
 
     Raises:
-        ValueError: there is no such preset, or the number of its steps is not known.
+        ValueError: there is no such preset, or its number of steps is unknown.
     """
     chosen = named_preset(name, env, changes.get("steps"))
     return {"seeds": chosen.seeds, **dataclasses.asdict(chosen.schedule), **chosen.options, **changes}
@@ -75,7 +75,7 @@ def named_preset(name: str, env: str | None, steps: int | None) -> Preset:
     chosen = PRESETS[name]
     if chosen.published_steps and steps is None:
         if env is None:
-            raise InputError(f"the preset {name} takes the published number of steps of a task: preset({name!r}, TASK)")
+            raise InputError(f"the preset {name} uses the published number of steps of a task: preset({name!r}, TASK)")
         row = assets.published_row("steps", env=env)
         if not row:
             known = ", ".join(row["env"] for row in assets.published("steps"))

@@ -12,15 +12,15 @@ ARGUMENTS = frozenset(
     {"env", "name", "algo", "setting", "seeds", "steps", "eval_every", "eval_episodes", "checkpoint_every"}
     | {"out", "logs", "overwrite", "progress", "devices", "minutes"}
 )
-"""Parameters of the functions that take options by name; an option called so could not be set."""
+"""Parameters of the functions that accept options by name; an option with such a name could not be set."""
 REGISTERED: list[type] = []
-"""The classes that were registered in this process, of every kind."""
+"""The classes of every kind that were registered in this process."""
 
 
 class Registry:
     """The names of one kind (`env`, `algo`) and their classes, extended by the entry-point group `earl_jax.<kind>s`.
 
-    The classes are dataclasses and subclasses of `base`, which is named as those of the `table` are: `module:class`.
+    The classes are dataclasses and subclasses of `base`; `base` and the entries of `table` are written `module:class`.
 
     Listing names imports nothing. A broken package therefore raises an error only when its name is used.
     """
@@ -35,28 +35,28 @@ class Registry:
 
     @functools.cached_property
     def _conflicting_entry_points(self) -> list[metadata.EntryPoint]:
-        """Entry points with a name of the table. Cached, because a search reads the metadata of every package."""
+        """The entry points whose name is in the table; cached, because a search reads the metadata of every package."""
         return [point for point in self._entry_points() if point.name in self._table]
 
     def names(self) -> list[str]:
-        """Return every name that can be made, sorted."""
+        """Return every name that `make` accepts, sorted."""
         return sorted({*self._table, *(point.name for point in self._entry_points())})
 
     def register(self, name: str, cls: type[Any]) -> None:
-        """Register the dataclass `cls` as `name` in this process; its own `name` must be the same.
+        """Register the dataclass `cls` as `name` in this process; `cls.name` must be the same.
 
-        A class that is defined again, as by a notebook's cell that runs twice, takes the place of the earlier one. Nothing
-        changes if an installed package has registered it.
+        A class that is defined again, for example by running a notebook cell twice, replaces the earlier one. If an
+        installed package has registered the class, nothing changes.
 
         Raises:
-            ValueError: the name is taken, `cls` is of another kind or not a dataclass, or its `name` differs.
+            ValueError: the name is taken, `cls` is of another kind or not a dataclass, or `cls.name` differs.
         """
         known, path = self._table.get(name), class_name(cls) if isinstance(cls, type) else None
         installed = any((point.name, point.value) == (name, path) for point in self._entry_points())
         defined_again = isinstance(known, type) and class_name(known) == path
         if name in self.names() and not (installed or defined_again):
             remedy = "choose another name, or leave out one of the two"
-            raise InputError(f"{self.noun} {name!r} exists already, in {self.locate(name)[1]}; {remedy}")
+            raise InputError(f"{self.noun} {name!r} already exists, in {self.locate(name)[1]}; {remedy}")
         if not installed:
             self._table[name] = self._checked(name, cls, "the registered class")
         REGISTERED.append(cls)
@@ -65,8 +65,8 @@ class Registry:
         """Return the class of `name`.
 
         Raises:
-            ValueError: the name is unknown or cannot be loaded, for any error in its package; the message gives the choices,
-                or the cause and the package.
+            ValueError: the name is unknown, or its class cannot be loaded because of an error in its package; the
+                message lists the choices, or gives the cause and the package.
         """
         target, owner = self.locate(name)
         if not isinstance(target, metadata.EntryPoint):
@@ -81,12 +81,12 @@ class Registry:
         return self._checked(name, factory, f"{target.value} of {owner}")
 
     def locate(self, name: str) -> tuple[metadata.EntryPoint | type[Any], str]:
-        """Return where the class of `name` is, or the class if it was registered, and the package or module it is from.
+        """Return the entry point of the class `name`, or the class if it was registered, and its package or module.
 
         Nothing is imported.
 
         Raises:
-            ValueError: the name is unknown (the message lists the choices) or claimed by several packages.
+            ValueError: the name is unknown (the message lists the choices), or several packages claim it.
         """
         target = self._table.get(name) if isinstance(name, str) else None
         candidates = self._entry_points() if target is None else self._conflicting_entry_points
@@ -114,7 +114,7 @@ class Registry:
             raise InputError(f"{self.noun} {name!r}: {source} lacks {missing}")
         if taken := ", ".join(sorted(ARGUMENTS & {field.name for field in dataclasses.fields(factory)})):
             raise InputError(
-                f"{self.noun} {name!r}: {source} has an option called as an argument of train, {taken}; rename it"
+                f"{self.noun} {name!r}: {source} has an option named like an argument of train, {taken}; rename it"
             )
         own = getattr(factory, "name", None)
         if own != name:
@@ -135,7 +135,7 @@ class Registry:
 
 
 def class_name(cls: type) -> str:
-    """Return the module and the name of a class, as config.json has them."""
+    """Return the module and the name of a class in the form that config.json records."""
     return f"{cls.__module__}:{cls.__qualname__}"
 
 
@@ -179,4 +179,4 @@ LEARNERS = Registry(
     {"sac": "earl_jax.algos.learner.sac:SAC", "td3": "earl_jax.algos.learner.td3:TD3"},
 )
 LEARNER = "sac"
-"""The learner that methods take by default."""
+"""The learner that methods use by default."""

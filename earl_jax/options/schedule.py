@@ -1,4 +1,4 @@
-"""The schedule of a run, with the defaults of all ways to start one."""
+"""The schedule of a run, with the defaults for every way to start a run."""
 
 import bisect
 import dataclasses
@@ -22,7 +22,7 @@ class Schedule:
     """Steps between checkpoints."""
 
     def changed(self, **changes: int | None) -> "Schedule":
-        """Return this schedule with those of the `changes` that are not None."""
+        """Return this schedule updated with the `changes` that are not None."""
         return dataclasses.replace(self, **{name: value for name, value in changes.items() if value is not None})
 
     def check(self) -> None:
@@ -44,4 +44,4 @@ def require_whole_windows(steps: int, eval_every: int) -> None:
     every = " or ".join(map(str, divisors[place - 1 : place + 1]))
     lengths = " or ".join(str(length) for length in (shorter, shorter + eval_every) if length)
     problem = f"steps {steps} is not a multiple of eval_every {eval_every}"
-    raise InputError(f"{problem}; take eval_every {every}, or steps {lengths}")
+    raise InputError(f"{problem}; choose eval_every {every}, or steps {lengths}")

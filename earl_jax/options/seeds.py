@@ -1,4 +1,4 @@
-"""The seeds of a run: a number of them, a range or a list, and the one check of all of them."""
+"""The seeds of a run, given as a number, a range or a list, and the check of all of them."""
 
 import collections
 import itertools
@@ -10,15 +10,15 @@ from earl_jax.errors import InputError, brief
 from earl_jax.options.values import SEED, parse_whole, require
 
 SEEDS = 5
-"""The default of `train`, of the command line and of sweep files."""
+"""The default number of seeds for `train`, the command line and sweep files."""
 MOST_SEEDS = 2**16
 
 
 def seed_list(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
-    """Return the seeds of an argument: a number of them (5 for 0 to 4), `"5:10"` without its end, `"3,5,8"`, or a list.
+    """Return the seeds that an argument names: their number (5: 0 to 4), `"5:10"` (without 10), `"3,5,8"`, or a list.
 
     Raises:
-        InputError: it is none of them, or names no seed, one twice, more than `MOST_SEEDS`, or one outside `SEED`.
+        InputError: it has another form, or names no seed, a seed twice, more than `MOST_SEEDS`, or one outside `SEED`.
     """
     named: Any = _parsed(seeds) if isinstance(seeds, str) else seeds
     try:
@@ -41,7 +41,7 @@ def seed_list(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
 
 
 def lane_of(seed: Any, seeds: Sequence[int], where: str) -> int:
-    """Return the lane of `seed`, or the first one for None; an InputError with the `seeds` says that it is not `where`."""
+    """Return the lane of `seed`, for None the first; if `seed` is not `where`, an InputError lists the `seeds`."""
     if seed is not None and seed not in seeds:
         raise InputError(f"no seed {brief(seed)} {where}; choose from {', '.join(map(str, seeds))}")
     return 0 if seed is None else seeds.index(seed)

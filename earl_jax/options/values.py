@@ -1,4 +1,4 @@
-"""Options as a command line, a config or a notebook gives them: checks by name, whole numbers, and the limit of time.
+"""Option values from a command line, a config or a notebook: checks by name, whole numbers, and time limits.
 
 A field declares the interval of its valid values in its metadata: `field(default=0.99, metadata=within("[0, 1)"))`.
 """
@@ -20,13 +20,13 @@ LARGEST_INT = 2**31 - 1
 LONGEST_EXPONENT = 18
 """The largest exponent of a number such as 1e6."""
 DEEPEST = 8
-"""Levels of lists and dictionaries in an option."""
+"""Largest number of nested lists and dictionaries in an option."""
 
 
 class Interval(NamedTuple):
     """The valid values of an option, in the usual notation: `(0, 1]` excludes 0 and includes 1.
 
-    An interval that is `whole` has one whole number.
+    A value of a `whole` interval is a single whole number, not an array.
     """
 
     text: str
@@ -59,12 +59,12 @@ EPISODES = Interval("[1, 100000]", whole=True)
 
 
 def within(interval: str | Interval, **unless: Any) -> dict[str, Any]:
-    """Return the metadata of a field in `interval`, such as `[0, 1)`, that has an effect `unless` another has a value."""
+    """Return metadata for a field in `interval`, such as `[0, 1)`, unused if a field in `unless` has its value."""
     return {"interval": Interval(interval) if isinstance(interval, str) else interval, "unless": unless}
 
 
 def require(name: str, value: Any, interval: Interval) -> None:
-    """Raise an InputError with the option `name` and its `interval` if `value` is outside it, unless a trace hides it."""
+    """Raise an InputError with the option `name` and its `interval` if `value` is outside; traced values pass."""
     value = _known(value)
     if _is_of_jax(value):
         return
@@ -75,7 +75,7 @@ def require(name: str, value: Any, interval: Interval) -> None:
 
 
 def require_object(noun: str, given: Any, kind: type, or_name: bool = True) -> None:
-    """Raise an InputError unless `given` is an object of `kind` that has its `name`, or a name if `or_name`."""
+    """Raise an InputError unless `given` is an object of `kind` whose class has a `name`, or with `or_name` a name."""
     if not isinstance(given, kind) and not (or_name and isinstance(given, str)):
         call = f"; did you mean {given.__name__}()?" if isinstance(given, type) else ""
         wanted = f"{'a name or ' * or_name}an object of {kind.__name__}"
@@ -85,17 +85,17 @@ def require_object(noun: str, given: Any, kind: type, or_name: bool = True) -> N
 
 
 def _check_defaults(owner: str, cls: type) -> None:
-    """Raise an InputError if the class sets a field in a way that the dataclass ignores: the default would be another."""
+    """Raise an InputError if the class sets a field in a way that the dataclass ignores, keeping another default."""
     for field in dataclasses.fields(cls):
         default = field.default
         value = default if default is dataclasses.MISSING else getattr(cls, field.name, default)
         if value is not default and repr(value) != repr(default):  # `%autoreload` leaves an equal one in the class
             fix = f"write `{field.name}: TYPE = ...`, in a task below @dataclasses.dataclass(frozen=True)"
-            raise InputError(f"{owner}: the value of {field.name} in {cls.__name__} is no default; {fix}")
+            raise InputError(f"{owner}: the value of {field.name} in {cls.__name__} is not its default; {fix}")
 
 
 def check_intervals(owner: str, options: Any) -> None:
-    """Check the fields of `options` that declare an interval, where None is valid too, or choices. Errors as `check`."""
+    """Check the fields of `options` that declare choices or an interval, which None passes. Errors as `check`."""
     _check_defaults(owner, type(options))
     check_literals(options)
     for field in dataclasses.fields(options):
@@ -109,7 +109,7 @@ def check_intervals(owner: str, options: Any) -> None:
 
 
 def literals(cls: type) -> dict[str, tuple[Any, ...]]:
-    """Return the valid values of the fields of type `Literal[...]`, or None too, of `cls` or, before an override, of a base."""
+    """Return the valid values of the fields of `cls` whose type, in `cls` or an overridden base, is `Literal[...]`."""
     return {
         name: (*typing.get_args(part), *[None] * (kind != part))
         for name, kind in _annotations(cls)
@@ -119,7 +119,7 @@ def literals(cls: type) -> dict[str, tuple[Any, ...]]:
 
 
 def _annotations(cls: type) -> list[tuple[str, Any]]:
-    """Return the names and types of the fields of all bases of `cls`, then its own; text where Python cannot evaluate it."""
+    """Return names and types of the fields of all bases of `cls`, then its own; a type that has no value stays text."""
     items = []
     for base in reversed(cls.__mro__):
         try:
@@ -130,14 +130,14 @@ def _annotations(cls: type) -> list[tuple[str, Any]]:
 
 
 def check_literals(options: Any) -> None:
-    """Raise an InputError if a field of the object `options` has a value that `literals` does not have."""
+    """Raise an InputError if a field of the object `options` has a value that is not in its `literals`."""
     for name, valid in literals(type(options)).items():
         if (value := getattr(options, name)) not in valid:
             raise InputError(f"{name} {brief(value)} is not one of {', '.join(map(str, valid))}")
 
 
 def check_storable(owner: str, values: Any, depth: int = 0) -> None:
-    """Raise an InputError that names `owner` if `values` are nested too deeply, or hold a number too large for an array."""
+    """Raise an InputError that names `owner` if `values` are nested too deeply or contain too large a number."""
     if depth > DEEPEST:
         raise InputError(f"{owner} has more than {DEEPEST} levels of lists")
     if isinstance(values, int) and abs(values) >= 2**63:
@@ -151,7 +151,7 @@ KINDS = {bool: "true or false", int: "a whole number of at least 0", float: "a f
 
 
 def check(owner: str, factory: type, options: Mapping[str, Any]) -> None:
-    """Check that the dataclass `factory` has every option, and that each value has its type, or that of its default.
+    """Check that the dataclass `factory` has every option, and that each value has the type of its field or default.
 
     Raises:
         ValueError: an option is unknown or has the wrong type; the message names `owner`, the option and the valid choices.
@@ -168,7 +168,7 @@ def check(owner: str, factory: type, options: Mapping[str, Any]) -> None:
 
 
 def _expected(field: dataclasses.Field, annotation: Any, value: Any) -> str | None:
-    """Return the kind of value that `field` takes by its `annotation` if `value` is of another kind, else None."""
+    """Return the kind of value that `field` requires by its `annotation` if `value` is of another kind, else None."""
     default = field.default
     if isinstance(default, tuple):
         kind = type(default[0]) if default else None
@@ -188,7 +188,7 @@ def _expected(field: dataclasses.Field, annotation: Any, value: Any) -> str | No
 
 
 def _fits(kind: Any, value: Any, has_lanes: bool = False) -> bool:
-    """Return whether `value` has the type `kind`; of a number or flag that `has_lanes`, an array with a value for each does."""
+    """Return whether `value` has the type `kind`; if `has_lanes`, an array of numbers or flags per lane also has."""
     import numpy as np
 
     if kind is str:
@@ -215,7 +215,7 @@ def value_text(value: Any) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number of things in words, such as `1 seed` or `1,000 seeds`."""
+    """Return a number with its noun, such as `1 seed` or `1,000 seeds`."""
     return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
@@ -228,7 +228,7 @@ def _is_of_jax(value: Any) -> bool:
 
 
 def _known(value: Any) -> Any:
-    """Return a jax array as an array or number of NumPy, unless a trace hides its numbers; other values as they are."""
+    """Return a jax array as a NumPy array or number, unless it is traced; other values stay as they are."""
     if not _is_of_jax(value):
         return value
     import jax
@@ -252,7 +252,7 @@ def parse_whole(text: str) -> int:
     """Return the whole number `text`, which can be written as 1e6, 2.5e6 or 2_500_000.
 
     Raises:
-        ValueError: it is no whole number.
+        ValueError: it is not a whole number.
     """
     try:
         return int(text)
@@ -274,14 +274,14 @@ def parse_number(text: str) -> int | float:
 
 
 class TimeLimit(NamedTuple):
-    """A limit of `minutes` that `ends_at` a time of the monotonic clock, which all processes of this machine share."""
+    """A limit of `minutes` that ends at the time `ends_at` of the monotonic clock, which all processes here share."""
 
     minutes: float
     ends_at: float
 
     @classmethod
     def of(cls, minutes: Any) -> "TimeLimit | None":
-        """Return the limit of `minutes` from now on; a limit that runs already, or None, is returned as it is.
+        """Return the limit of `minutes` from now on; a running limit, or None, is returned as it is.
 
         Raises:
             ValueError: `minutes` is not a positive finite number.

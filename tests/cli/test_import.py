@@ -76,7 +76,7 @@ def test_a_file_that_has_changed_since_training_is_named_and_recorded(own):
         ("nowhere.py", None, "nowhere.py can't be imported: there is no such file"),
         ("mine.toml", "", "mine.toml can't be imported: its name does not end in .py"),
         ("nothing.py", "x = 1", "nothing.py can't be imported: it registers nothing; call earl_jax.register_algo"),
-        ("taken.py", MINE.replace("patient", "naive"), "taken.py can't be imported: method 'naive' exists already"),
+        ("taken.py", MINE.replace("patient", "naive"), "taken.py can't be imported: method 'naive' already exists"),
         ("json.py", "", "json.py has the name of another module"),
     ],
 )

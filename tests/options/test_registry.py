@@ -47,7 +47,7 @@ def test_the_names_of_a_package_are_listed_and_built(install):
     assert registry.names() == ["meadow", "sawyer_door"]
     assert registry.make("meadow", wide=True).wide
     registry.register("meadow", type(registry.make("meadow")))  # a script may name what its package has named
-    with pytest.raises(ValueError, match="'meadow' exists already, in Their_Package"):
+    with pytest.raises(ValueError, match="'meadow' already exists, in Their_Package"):
         registry.register("meadow", SAC)
 
 
@@ -112,7 +112,7 @@ def test_a_class_is_registered_under_its_own_name_and_with_its_own_kind_only():
     with pytest.raises(ValueError, match="learner 'half': the registered class lacks act, greedy, init, update"):
         registry.register("half", type("Half", (Learner,), {"name": "half"}))
     own = type("Own", (SAC,), {"name": "own", "eval_every": 1, "__annotations__": {"eval_every": int}})
-    with pytest.raises(ValueError, match="has an option called as an argument of train, eval_every; rename it"):
+    with pytest.raises(ValueError, match="has an option named like an argument of train, eval_every; rename it"):
         registry.register("own", own)
     assert registry.names() == []
     parameters = inspect.signature(earl_jax.train).parameters
@@ -127,5 +127,5 @@ def test_a_class_that_a_cell_defines_again_takes_the_place_of_the_earlier_one():
         exec(MEADOW + f"    wide: bool = {wide}\n", cell)
         registry.register("meadow", cell["Meadow"])
     assert registry.get("meadow") is cell["Meadow"]
-    with pytest.raises(ValueError, match="'meadow' exists already"):
+    with pytest.raises(ValueError, match="'meadow' already exists"):
         registry.register("meadow", type("Meadow", (cell["Meadow"],), {"__module__": "theirs"}))

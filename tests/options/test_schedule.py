@@ -54,6 +54,6 @@ def test_other_values_are_refused_by_name(name, value, message):
     ],
 )
 def test_training_ends_with_an_evaluation_or_the_nearest_numbers_are_named(steps, every, fix):
-    with pytest.raises(InputError, match=f"^steps {steps} is not a multiple of eval_every {every}; take {fix}$"):
+    with pytest.raises(InputError, match=f"^steps {steps} is not a multiple of eval_every {every}; choose {fix}$"):
         require_whole_windows(steps, every)
     require_whole_windows(400, 200)

@@ -145,7 +145,7 @@ def test_a_value_in_a_class_that_its_dataclass_ignores_is_refused():
     patient = type("Patient", (Naive,), {"learner": SAC(random_steps=0)})
     wordy = type("Wordy", (Deployment,), {"alive_steps": 5})
     for build in (near, type("Near", (Chain,), {"eval_horizon": 20}), lambda: train(Chain(), patient()), wordy):
-        message = r"the value of \w+ in (Near|Patient|Wordy) is no default; write `\w+: TYPE"
+        message = r"the value of \w+ in (Near|Patient|Wordy) is not its default; write `\w+: TYPE"
         with pytest.raises(InputError, match=message):
             build()
 
