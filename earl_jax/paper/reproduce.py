@@ -1,8 +1,8 @@
 """Every table and figure of the paper by name: its runs at a scale, trained, and the files made of them.
 
-The trade-off of the conclusion is one more, which the paper names and does not show. Runs of one folder are shared:
-both tables and figures 3, 4 and 5 read the same ones. The grid of the runs is written beside them, so that
-`earl-jax sweep` can train the same ones.
+In addition there is the trade-off that the paper's conclusion names but does not show. Runs in one folder are shared:
+both tables and figures 3, 4 and 5 read the same runs. The grid of the runs is written beside them, so that `earl-jax
+sweep` can train the same runs.
 """
 
 import dataclasses
@@ -68,22 +68,22 @@ def reproduce(
     emit: Callable[[str], None] = print,
     minutes: float | TimeLimit | None = None,
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Return the files of table or figure `name` at `scale`, after training its unfinished runs, and the names of failed runs.
+    """Train the unfinished runs of table or figure `name` at `scale`; return its files and the names of failed runs.
 
     Args:
         name: one of `ARTEFACTS`.
         scale: one of `SCALES`: `smoke`, end to end in a minute; `short`, a tenth of the paper; `full`, the paper.
         out: the folder of runs and results; the same call continues the runs in it.
-        tasks: only these of the artefact's tasks.
+        tasks: the tasks to include; by default all tasks of the artefact.
         seeds: number of seeds instead of the scale's.
-        steps: length of the runs instead of the scale's, of which the part after the last whole `eval_every` is left out.
-        options: of tasks or methods, for every run; a list holds alternatives, which tables and figure 5 show.
-        max_lanes: lanes of the largest program.
+        steps: length of the runs instead of the scale's; the part after the last whole `eval_every` is left out.
+        options: options of tasks or methods for every run; a list gives alternatives, which tables and figure 5 show.
+        max_lanes: largest number of lanes in a program.
         devices: number of devices that share the lanes of a program.
-        per_device: number of programs that train on each GPU at a time, as `sweep` takes it.
+        per_device: number of programs that train on each GPU at a time, as in `sweep`.
         emit: is called with a line of text for each run.
-        minutes: a limit of wall-clock time from this call on, as in `sweep`. If it leaves runs unfinished, nothing is
-            written, `emit` receives their names, and no file is returned, as where no run has reached an evaluation.
+        minutes: a limit of wall-clock time from this call on, as in `sweep`. If runs are then unfinished, or no run has
+            reached an evaluation, nothing is written, `emit` receives their names, and no file is returned.
 
     Raises:
         ValueError: a name, task or option is unknown, or the folder holds other runs; the message says which.
@@ -162,7 +162,7 @@ def _block_lines(made: Artefact, block: Block, scale: Scale, options: Options) -
         merged["hidden_sizes"] = [sizes]
     for option in options if not made.variants else ():
         if option not in block.options and isinstance(merged[option], list | tuple) and len(merged[option]) > 1:
-            raise InputError(f"{made.name} takes no runs that differ in {option}; give it one value")
+            raise InputError(f"{made.name} cannot have runs that differ in {option}; give it one value")
     return ["[[runs]]", *_toml_lines(run), "[runs.options]", *_toml_lines(merged), ""]
 
 

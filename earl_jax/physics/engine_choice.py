@@ -18,8 +18,8 @@ DEVICE_LANES = 1000
 class EngineCost(NamedTuple):
     """Measured milliseconds of a task's control step, on one H200 with 16 cores (benchmarks/results/physics).
 
-    `host` is the time of one core for one lane on `c`. `device` and `warp` are the times of 1,000 lanes on `mjx` and on
-    `warp`, and fewer lanes are hardly faster; None for an engine that was not measured.
+    `host` is the time of one core for one lane with `c`. `device` and `warp` are the times of 1,000 lanes with `mjx`
+    and with `warp`; fewer lanes are hardly faster. None means that the engine was not measured.
     """
 
     host: float
@@ -46,10 +46,10 @@ def resolve_engine(engine: str) -> str:
 
 
 def fastest_engine(cost: EngineCost | None, lanes: int) -> str:
-    """Return the installed engine with the shortest control step of `lanes` lanes here, by a task's measured `cost`.
+    """Return the installed engine with the shortest control step for `lanes` lanes here, by a task's measured `cost`.
 
-    Without a cost, or on any backend but a GPU, it is the default engine. `warp` is chosen for at most 1,000 lanes, for
-    which its capacity of contacts was measured to suffice.
+    Without a cost, or on any backend but a GPU, it is the default engine. `warp` is chosen for at most 1,000 lanes, the
+    number for which its capacity of contacts was measured to suffice.
     """
     default = resolve_engine("auto")
     if default_backend() != "gpu" or cost is None:

@@ -38,11 +38,11 @@ def require_unchanged(name: str) -> None:
 def load_model(name: str, timestep: float | None = None) -> Any:
     """Return the compiled `mujoco.MjModel` of `assets/mjcf/<name>.xml`, with its own time step or `timestep` seconds.
 
-    It has no geoms that only a picture needs. Inverse weights in the file (`INVWEIGHT`) replace the compiled ones. A file
-    with a time step of `REFERENCE` behaves nearly alike at longer ones.
+    Geoms that only pictures need are left out. Inverse weights in the file (`INVWEIGHT`) replace the compiled ones. A
+    model with a time step of `REFERENCE` behaves nearly the same at longer time steps.
 
     Raises:
-        ValueError: there is no such file, and the message lists the choices, or MuJoCo cannot compile it.
+        ValueError: there is no such file (the message lists the choices), or MuJoCo cannot compile it.
     """
     mujoco: Any = importlib.import_module("mujoco")
     path = assets.mjcf(name)
@@ -52,7 +52,7 @@ def load_model(name: str, timestep: float | None = None) -> Any:
         spec.compiler.discardvisual = True
         model = spec.compile()
     except ValueError as error:
-        raise InputError(f"{path} is no model that MuJoCo compiles: {' '.join(str(error).split())}") from error
+        raise InputError(f"{path} is not a model that MuJoCo can compile: {' '.join(str(error).split())}") from error
     numbers = {number.name: number.data for number in map(model.numeric, range(model.nnumeric))}
     for key, data in numbers.items():
         if key.startswith(INVWEIGHT):
@@ -67,9 +67,9 @@ def load_model(name: str, timestep: float | None = None) -> Any:
 def _adapt_to_timestep(model: Any, reference: float, growth: Sequence[float]) -> None:
     """Keep the motion of the time step `reference` at a longer one, with the armature's `growth` as in `GROWTH`.
 
-    MuJoCo raises time constants of constraints to two time steps, which makes them softer; a smaller damping ratio keeps
-    their stiffness. It also applies joint damping at the end of a step, after the constraints, so that a damped joint
-    yields the less to them the longer the step is; more armature cancels that.
+    MuJoCo raises time constants of constraints to two time steps, which makes constraints softer; a smaller damping
+    ratio keeps their stiffness. It also applies joint damping at the end of a step, after the constraints, so with a
+    longer step a damped joint yields less to them; more armature compensates for this.
     """
     shortest, excess = 2.0 * model.opt.timestep, max(0.0, model.opt.timestep - reference)
     for solref in (model.eq_solref, model.pair_solref, model.jnt_solref):
@@ -80,7 +80,7 @@ def _adapt_to_timestep(model: Any, reference: float, growth: Sequence[float]) ->
 
 
 def import_mjx() -> Any:
-    """Return the module `mujoco.mjx`; its message about a missing Warp does not go to stdout, which can be JSON."""
+    """Return the module `mujoco.mjx`; keep its message about a missing Warp off stdout, which can be JSON."""
     with contextlib.redirect_stdout(io.StringIO()):
         if has_warp():
             warp = importlib.import_module("warp")

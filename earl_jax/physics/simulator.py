@@ -44,10 +44,10 @@ class Simulator:
     def start_step(self, state: PhysicsState, command: jax.Array) -> PendingStep:
         """Start a control step from `state` with `command` and return it for `finish_step`.
 
-        With `c` and a GPU, the host simulates it while the program continues up to `finish_step`.
+        With `c` and a GPU, the host simulates the step while the program continues up to `finish_step`.
 
         Raises:
-            ValueError: a field of `state` or the controls have another shape than those of the model.
+            ValueError: a field of `state`, or the controls, do not have the shape that the model requires.
         """
         self._require_shapes(state, command)
         return c.start_step(self, state, command) if self.engine == "c" else PendingStep(command)

@@ -24,7 +24,7 @@ ACTINGS = ("policy", "expert", "demos", "random")
 """The newest policy of a run or a trained one that ships, the task's scripted expert, the shipped demonstrations replayed,
 or random actions."""
 SECONDS_AFTER_GOAL = 0.6
-"""How long an episode goes on after its goal is reached."""
+"""Seconds for which an episode goes on after its goal is reached."""
 
 EpisodeStart = tuple[State, np.ndarray]
 """The first state of an episode, and its planned actions [n, a]; n is the length of the episode."""
@@ -48,8 +48,8 @@ class Episode(NamedTuple):
 class Actor(NamedTuple):
     """Acts in `env`; `acting` is one of `ACTINGS`.
 
-    `start(number)` returns the start of an episode and its planned actions. They are taken one by one, unless `act(obs [o])`
-    returns the actions [a].
+    `start(number)` returns the start of an episode and its planned actions. These are executed in turn, unless
+    `act(obs [o])` returns the actions [a].
     """
 
     env: Env
@@ -98,7 +98,7 @@ def _env_and_policy(source: str | Path, seed: int | None, method: str | None) ->
 
 
 def _actors(env: Env, policy: Policy | None, seed: int) -> dict[str, Actor]:
-    """Return every actor that `env` has, by its acting; the first one is the default."""
+    """Return every possible actor in `env`, by its acting; the first one is the default."""
     no_plan = np.zeros((env.eval_horizon, env.action_size), np.float32)
 
     def start(number: int) -> EpisodeStart:

@@ -23,7 +23,7 @@ ALL = "all"
 SIZES = {".mp4": (480, 640), ".gif": (240, 320), ".webp": (240, 320), ".png": (240, 320)}
 """Height and width of a frame, or of a moment on a sheet, by the suffix of the file."""
 RATES = {".mp4": 25.0, ".gif": 12.5, ".webp": 12.5}
-"""Largest frames a second by suffix, unless the caller sets another."""
+"""Largest number of frames per second by suffix, unless the caller sets another."""
 FPS = Interval("[0.01, 1000]")
 
 
@@ -41,27 +41,27 @@ def render(
     policy: str | None = None,
     life: bool = False,
 ) -> Path:
-    """Draw episodes of `source`, each from s0 with a goal of its own, in real time, and return the path of the file.
+    """Draw episodes of `source` in real time, each from s0 with a goal of its own, and return the path of the file.
 
     Args:
         source: a run folder, a task's name, or `all` for a moment of each of the paper's six tasks (.png).
         out: .mp4, .gif, .webp, or .png for a sheet of six moments; by default `video.mp4` in a run folder, else `TASK.mp4`, or
             `all.png`.
-        acting: one of `ACTINGS`; by default the policy of a run, else the first one that the task has.
-        seed: seed of starts and goals, by default 0; of a run, one of its seeds, whose policy acts, by default the first.
-        steps: total number of control steps; by default ten seconds, on a sheet at most one episode.
-        size: height and width of a frame, or of one moment of a sheet.
-        fps: largest number of frames a second; the exact number follows from the task's control step.
+        acting: one of `ACTINGS`; by default the policy of a run, else the first that the task offers.
+        seed: seed of starts and goals, by default 0; for a run, the seed whose policy also acts, by default its first.
+        steps: total number of control steps; by default ten seconds, or at most one episode on a sheet.
+        size: height and width of a frame, or of one moment of a sheet; the default depends on the suffix.
+        fps: largest number of frames per second; the exact number follows from the task's control step.
         camera: one of the task's cameras.
         progress: whether to show a progress bar.
         policy: for a task, the method whose trained policy acts, one of `earl_jax.list_pretrained()[source]`.
-        life: whether a film shows one life without resets. Its goals are a task goal and an initial state in turn, each until
-            it is reached or an episode's steps are over.
+        life: whether a film shows one life without resets. Its goals alternate between a task goal and an initial
+            state; each lasts until it is reached or an episode's steps are over.
 
     Raises:
         ValueError: the source, suffix, acting, policy or camera is unknown, the source has no such acting or camera, a
-            number is invalid, a video's height or width is odd, a library is missing, this machine cannot draw, `all` is
-            given a policy, a camera or steps, or a life is asked for of demonstrations or on a sheet.
+            number is invalid, a video's height or width is odd, a library is missing, this machine cannot draw, `all`
+            is combined with a policy, a camera or steps, or `life` with demonstrations or a sheet.
     """
     source = os.path.expanduser(str(source))
     path = output_path(source, out)
@@ -94,7 +94,7 @@ def output_path(source: str | Path, out: str | Path | None) -> Path:
 
 
 def _check(path: Path, size: tuple[int, int], life: bool, steps: int | None, fps: float | None) -> None:
-    """Raise a ValueError if `path` cannot be of this `size` or a `life`, a number is invalid, or a library is missing."""
+    """Raise a ValueError if `path` cannot have this `size` or be a `life`, a number is invalid or a library missing."""
     for name, value, interval in (("steps", steps, COUNT), ("fps", fps, FPS)):
         if value is not None:
             require(name, value, interval)

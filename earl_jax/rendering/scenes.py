@@ -1,4 +1,4 @@
-"""Draws a state as an image: MuJoCo renders the task's model with its overlay, without a display."""
+"""Images of states: MuJoCo renders the task's model with its overlay, without a display."""
 
 import contextlib
 import functools
@@ -18,9 +18,9 @@ from earl_jax.options.values import COUNT, require
 from earl_jax.rendering.overlays import with_overlay
 
 STATE_GROUPS = (0, 1, 2)
-"""Groups of geoms that are drawn where the state has them."""
+"""Groups of geoms that are drawn in the pose of the state."""
 GOAL_GROUPS = (5,)
-"""Groups of geoms that are drawn where the goal has them: the overlay's class `goal_marker`."""
+"""Groups of geoms that are drawn in the pose of the goal: the overlay's class `goal_marker`."""
 BACKENDS = ("egl", "osmesa")
 """Values of `MUJOCO_GL` that need no display: a GPU's driver or Mesa through EGL, and Mesa's software renderer."""
 PROBE = "import mujoco; mujoco.GLContext(8, 8).make_current()"
@@ -96,7 +96,7 @@ class Scene(contextlib.AbstractContextManager):
 
 
 def cameras(env: Env) -> list[str]:
-    """Return the names of the cameras on `env`."""
+    """Return the names of the cameras of `env`."""
     model = _drawn_model(env)
     return [model.camera(number).name for number in range(model.ncam)]
 
@@ -130,7 +130,7 @@ def _options(mujoco: Any, groups: tuple[int, ...]) -> Any:
 
 
 def checked_size(size: Any) -> tuple[int, int]:
-    """Return the height and the width that `size` has; an InputError if it is no pair of whole numbers above 0."""
+    """Return the height and the width in `size`; an InputError if it is not a pair of whole numbers above 0."""
     try:
         height, width = size
     except (TypeError, ValueError):
@@ -147,15 +147,15 @@ def _renderer(mujoco: Any, model: Any, size: tuple[int, int]) -> Any:
         return mujoco.Renderer(model, height, width)
     except (*NO_BACKEND, mujoco.FatalError) as error:
         if "framebuffer" in str(error):
-            raise InputError(f"this machine draws no pictures of {height} by {width} pixels ({error})") from error
+            raise InputError(f"this machine cannot draw pictures of {height} by {width} pixels ({error})") from error
         raise _no_graphics(error) from error
 
 
 def _drawing_mujoco() -> Any:
-    """Return the module `mujoco`, able to draw: on Linux by `MUJOCO_GL`, or else through `working_backend`.
+    """Return the module `mujoco`, ready to draw: on Linux through `MUJOCO_GL` or, if unset, `working_backend`.
 
     Raises:
-        ValueError: no backend works, or not that of `MUJOCO_GL`; the message says what to install.
+        ValueError: no backend works, or the one in `MUJOCO_GL` does not; the message says what to install.
     """
     if platform.system() == "Linux" and not os.environ.get("MUJOCO_GL"):
         os.environ["MUJOCO_GL"] = working_backend()
@@ -174,9 +174,9 @@ def _no_graphics(error: Exception) -> InputError:
 
 @functools.cache
 def working_backend() -> str:
-    """Return the first of `BACKENDS` that draws here, or else that of a display, which a lost connection still names.
+    """Return the first of `BACKENDS` that draws here, or else the backend of a display, which may no longer exist.
 
-    Each is tried in a process of its own, because a process cannot recover from a failed one.
+    Each backend is tried in a process of its own, because a process cannot recover from a failed backend.
 
     Raises:
         ValueError: no backend works; the message says what to install.

@@ -15,17 +15,17 @@ DEFAULT_SECONDS = 10.0
 ROUNDING = 1e-6
 """Share of a control step by which the time between two frames may be shorter than 1 / fps."""
 MOMENTS = 6
-"""Moments on a sheet of one task."""
+"""Number of moments on a sheet of one task."""
 RANDOM_STEP = 40
-"""The step that is shown of an episode of random actions."""
+"""The step of an episode of random actions that a sheet shows."""
 PORTRAIT_SHARE = 0.75
 """Share of an episode after which a sheet of several tasks shows it."""
 
 
 def frames(actor: Actor, steps: int | None, fps: float, life: bool) -> tuple[list[State], float]:
-    """Return the states that a film shows, and how many a second: at most `fps`, and each after the same number of steps.
+    """Return the states that a film shows, equally many steps apart, and the frames per second, at most `fps`.
 
-    They are of episodes that have `steps` steps together, by default ten seconds, of one `life` or each from a reset.
+    The episodes have `steps` steps in total, by default ten seconds; they form one `life`, or each starts from a reset.
     """
     seconds = view_of(actor.env).dt
     stride, left = max(1, math.ceil(1 / (fps * seconds) - ROUNDING)), steps or round(DEFAULT_SECONDS / seconds)

@@ -1,4 +1,4 @@
-"""Videos of a policy while it trains: a log that draws them and passes them on to the run's other logs."""
+"""Videos of a policy during training: a log that draws them and passes them on to the run's other logs."""
 
 from collections.abc import Sequence
 
@@ -19,12 +19,12 @@ SIZE, FPS = (180, 240), 6.25
 class VideoLog:
     """A log that draws `count` videos of the first seed's greedy policy, spread evenly over a run's evaluations.
 
-    The last one shows the policy at the end. A video has the steps of an evaluation episode, always from the same start,
-    and is `videos/STEP.gif` of the run folder. TensorBoard and Weights & Biases receive it too if the run logs to them.
-    The first error is a warning, after which training goes on without videos.
+    The last video shows the policy at the end. Each video shows as many steps as an evaluation episode, always from the
+    same start, and is written to `videos/STEP.gif` in the run folder. TensorBoard and Weights & Biases receive it, too,
+    if the run logs to them. The first error becomes a warning, after which training goes on without videos.
 
     Raises:
-        ValueError: `count` is no number above 0, or the extra `render` is missing.
+        ValueError: `count` is not a number above 0, or the extra `render` is missing.
     """
 
     def __init__(self, count: int):
@@ -45,7 +45,7 @@ class VideoLog:
         return OptionalLog(VIDEOS, self)
 
     def log(self, step: int, metrics: dict[str, np.ndarray]) -> None:
-        """Draw the policies.npz of `step` if a video of it is due."""
+        """Draw a video of the policies at `step` if one is due."""
         config = self._folder.config
         number, total = step // config.eval_every, config.steps // config.eval_every
         if number * self._count // total == (number - 1) * self._count // total:

@@ -85,12 +85,12 @@ def compare(
     """Return a row for each pair of methods on a task, or for each method beside its published score.
 
     Runs of the same task, method and options are pooled. Against the released runs there is a row at each of `AGES`.
-    `metric` is a column of metrics.csv, such as `deployed/success_wide`; None is the deployed score. The released runs have
-    this and `continuing/reward`. A pair without a common step or metric is left out with a `RunWarning`, as is a run without
-    `metric`.
+    `metric` is a column of metrics.csv, such as `deployed/success_wide`; None means the deployed score. The released
+    runs contain the deployed score and `continuing/reward`. A pair without a common step or metric, and a run without
+    `metric`, are left out with a `RunWarning`.
 
     Raises:
-        ValueError: a folder is no run, it has no such metric, or there is nothing to compare.
+        ValueError: a folder is not a run, it has no such metric, or there is nothing to compare.
     """
     require_known("against", against, ("runs", "published"))
     runs = read_methods(folders, window, metric)

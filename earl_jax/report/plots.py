@@ -26,7 +26,7 @@ CYCLE = (*(f"C{number}" for number in range(7)), "black", "C8", "C9")
 LETTER = 0.58 / 72
 """Width of a letter in inches per point of its size."""
 POINTS = 2000
-"""Most evaluations drawn of a line, more than a panel has pixels."""
+"""Largest number of evaluations that are drawn for a line, more than a panel has pixels."""
 
 
 class Size(NamedTuple):
@@ -83,17 +83,18 @@ def plot_runs(
     """Draw curves of `folders`, means with 95 % bands, and return `out`.
 
     Args:
-        folders: run folders, or folders of them such as a sweep's; each task and kind of reward has panels of its own.
+        folders: run folders, or folders that contain them; each task and kind of reward has its own panels.
         out: the picture to write; `caption` describes it.
         names: names of the lines, in the order of `report.runs.labels`.
         metric: a column of metrics.csv to draw; by default the deployed and the continuing score.
         size: for a screen, or for one `column` or a whole `page` of a paper.
-        smooth: evaluations in the trailing mean that is drawn; 1 draws evaluations as they are, at most 2,000 of a line.
-        published: a panel for each run, with its seeds thin over the released ones of the paper in grey, and both means.
+        smooth: evaluations in the trailing mean that is drawn; 1 draws evaluations as they are, at most 2,000 per line.
+        published: whether to draw a panel for each run, with thin lines for its seeds over the paper's released seeds
+            in grey, and both means.
 
     Raises:
-        ValueError: a folder is no run, `out` has an unknown suffix, `names` are too few or too many, a run has no column
-            `metric`, or matplotlib is not installed.
+        ValueError: a folder is not a run, `out` has an unknown suffix, `names` are too few or too many, a run has no
+            column `metric`, or matplotlib is not installed.
     """
     out = Path(out)
     require_suffix(out, style.PICTURES, "pictures")

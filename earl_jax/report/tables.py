@@ -85,9 +85,9 @@ def tabulate(
 
     Args:
         folders: run folders; seeds of the same task, method and options are pooled.
-        window: the evaluations at the end of a run that are averaged; the paper's table 1 has the last one.
-        metric: a column of metrics.csv. A row then has only its mean and interval.
-        names: a name for each row; by default its method, with the options that tell it from others.
+        window: the evaluations at the end of a run that are averaged; the paper's table 1 uses the last one alone.
+        metric: a column of metrics.csv; rows then contain only its mean and interval.
+        names: a name for each row; by default its method, with the options that distinguish it from others.
 
     Raises:
         ValueError: a folder cannot be read, a run has no column `metric`, or `names` are too few or many.

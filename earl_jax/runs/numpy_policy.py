@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 
 FULL_BUDGET = 1.0
-"""The share of the budget for help at which a policy acts, where nothing is charged."""
+"""The share of the budget for help that a policy observes; nothing is charged."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
 class NumpyPolicy:
     """The greedy policy `policy(obs [..., o]) -> action [..., a]`, float32: tanh of the first outputs of a ReLU network.
 
-    `layers` are the kernels [k, l] and biases [l] of the network. After training with a budget for help, it observes a
-    full budget at index `budget_at`. After training in `bf16`, it rounds where the learner does, because such a policy
-    can fail without this rounding.
+    `layers` are the kernels [k, l] and biases [l] of the network. After training with a budget for help, the policy
+    observes a full budget at index `budget_at`. After training in `bf16`, it rounds as the learner does, because it can
+    fail without this rounding.
     """
 
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
@@ -57,7 +57,7 @@ class NumpyPolicy:
         """Return the policy that `save` wrote to `path`.
 
         Raises:
-            ValueError: the file is not such a policy.
+            ValueError: the file does not contain such a policy.
             OSError: the file cannot be read.
         """
         try:
@@ -70,7 +70,7 @@ class NumpyPolicy:
             raise
         except Exception as error:  # damage makes zipfile and NumPy raise errors of many types
             remedy = "of a run: earl_jax.load(RUN).policy().numpy().save(FILE)"
-            raise ValueError(f"{path} is no policy of NumpyPolicy.save, or is damaged; {remedy}") from error
+            raise ValueError(f"{path} was not written by NumpyPolicy.save, or is damaged; {remedy}") from error
 
 
 def _bf16(x: np.ndarray) -> np.ndarray:

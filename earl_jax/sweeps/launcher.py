@@ -27,12 +27,12 @@ class Outcome(NamedTuple):
 
     @property
     def unfinished(self) -> tuple[str, ...]:
-        """The names of the runs that a time limit or a signal left."""
+        """The names of the runs that a time limit or a signal left unfinished."""
         return tuple(name for name, run in self.runs.items() if run["state"] not in ("done", "failed"))
 
 
 class Stopped(SystemExit):
-    """The signal `number` stopped a sweep; `outcome` is that of the sweep so far."""
+    """The signal `number` stopped a sweep; `outcome` is the outcome so far."""
 
     def __init__(self, number: int, outcome: Outcome):
         super().__init__(128 + number)
@@ -52,7 +52,7 @@ def sweep(
     logs: Sequence[str] = (),
     minutes: float | TimeLimit | None = None,
 ) -> Outcome:
-    """Return the outcome of a grid, after training its unfinished runs (local) or submitting them (slurm).
+    """Train the unfinished runs of a grid (local) or submit them (slurm), and return the outcome.
 
     Args:
         grid: a TOML file (docs/sweeps.md).
@@ -61,12 +61,12 @@ def sweep(
         max_lanes: the largest number of lanes in a program group.
         slurm: options of sbatch, name=value, such as `time` (minutes).
         devices: the number of devices that share the lanes of a program group.
-        per_device: the number of program groups that train on each GPU of this machine at a time, or on a machine without
-            one; `auto` for the measured number. By default one group trains after another, on one GPU.
+        per_device: the number of program groups that train at a time on each GPU of this machine, or on its CPU if it
+            has no GPU; `auto` for the measured number. By default one group trains after another, on one GPU.
         emit: receives a line for each change of a run's state, and a summary.
         logs: loggers that new runs use besides metrics.csv: `tensorboard`, `wandb`.
-        minutes: a limit of wall-clock time of the whole sweep, from this call on (local only). Runs in progress end after
-            the chunk of steps in which it runs out, with a checkpoint; groups that have not started are left.
+        minutes: a limit of wall-clock time for the whole sweep, from this call on (local only). When it is reached,
+            runs in progress end after their current chunk of steps, with a checkpoint; other groups do not start.
 
     Raises:
         ValueError: the grid, the folder or an option is invalid; nothing has started.

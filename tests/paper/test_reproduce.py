@@ -194,7 +194,7 @@ def test_a_missing_library_is_named_before_any_training(tmp_path, monkeypatch):
         ({"name": "table1", "seeds": 0}, "seeds must name at least one, not 0"),
         (
             {"name": "figure2", "options": {"train_horizon": [4, 8], "hidden_sizes": [8, 8], "discount": [0.9, 0.99]}},
-            "figure2 takes no runs that differ in discount; give it one value",
+            "figure2 cannot have runs that differ in discount; give it one value",
         ),
     ],
 )

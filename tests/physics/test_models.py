@@ -27,7 +27,7 @@ def test_mujoco_draws_gripper_and_mug_at_their_observed_positions(env):
 def test_a_file_that_mujoco_cannot_compile_is_named(body, tmp_path):
     file = tmp_path / "mine.xml"
     file.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-    with pytest.raises(InputError, match=rf"{file} is no model that MuJoCo compiles: .*[Ll]ine.*1"):
+    with pytest.raises(InputError, match=rf"{file} is not a model that MuJoCo can compile: .*[Ll]ine.*1"):
         physics.load_model(str(file))
 
 

@@ -50,7 +50,7 @@ def test_unknown_cameras_and_sizes_and_tasks_without_pictures_are_refused(graphi
         Scene(env, SMALL, camera="mine")
     with pytest.raises(ValueError, match="height must lie in"):
         Scene(env, (0, 8))
-    with pytest.raises(ValueError, match=r"draws no pictures of 8 by 2000000 pixels .*framebuffer"):
+    with pytest.raises(ValueError, match=r"cannot draw pictures of 8 by 2000000 pixels .*framebuffer"):
         Scene(env, (8, 2_000_000))
 
 

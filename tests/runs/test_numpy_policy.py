@@ -60,7 +60,7 @@ def test_a_saved_policy_without_help_acts_where_jax_cannot_be_imported(env, tmp_
     save_policies(tmp_path / "policies.npz", {"weights": OBS}, step=1, seeds=[0], obs_size=12, action_size=3)
     (tmp_path / "half").write_bytes((tmp_path / "policy").read_bytes()[:-100])
     for other in ("policies.npz", "obs.npy", "half"):
-        with pytest.raises(ValueError, match=rf"{other} is no policy .* damaged; of a run: earl_jax\.load"):
+        with pytest.raises(ValueError, match=rf"{other} was not written by .* damaged; of a run: earl_jax\.load"):
             earl_jax.NumpyPolicy.load(tmp_path / other)
 
 

@@ -40,12 +40,12 @@ def write_page(
 ) -> Path:
     """Write the page of the runs in and below `folders` to `out`, an .html file, and return the path.
 
-    Runs that cannot be read are listed on the page with the cause, and named by a `RunWarning`. With `reload_seconds`, a
-    browser reloads the page that often. With `policies`, a video of a policy of each run is on the page. `window` has the
-    evaluations that score a run.
+    Runs that cannot be read are listed on the page with the cause, and a `RunWarning` names them. With
+    `reload_seconds`, a browser reloads the page at that interval. With `policies`, the page contains a video of a
+    policy of each run. `window` selects the evaluations that score a run.
 
     Raises:
-        ValueError: `out` is not an .html file, a folder holds no run, no run can be read, or a library is missing.
+        ValueError: `out` is not an .html file, a folder contains no run, no run can be read, or a library is missing.
     """
     out = Path(out)
     environment, plotly = _libraries(out)
@@ -112,10 +112,11 @@ def watch_page(
     policies: PolicyVideos | None = None,
     window: Window = DEFAULT,
 ) -> None:
-    """Write the page of `folders` to `out` again whenever a run changes, with a look every `every` seconds, until Ctrl-C.
+    """Write the page of `folders` to `out` again whenever a run changes, checked every `every` seconds, until Ctrl-C.
 
-    In a browser the page reloads itself as often. It is never half written. After Ctrl-C it is written once more, without
-    reloading. Before the first run can be read it waits. With `policies`, the page has videos of policies.
+    In a browser the page reloads itself at the same interval. It is never half written. After Ctrl-C it is written once
+    more, without reloading. If no run can be read yet, the function waits. With `policies`, the page has videos of
+    policies.
 
     Raises:
         ValueError: `every` is under a second, `out` is not an .html file, or a library is missing.
