@@ -1,1 +1,1 @@
-"""The tables and figures of the paper, made again from our own runs."""
+"""The tables and figures of the paper, reproduced from our own runs."""

@@ -1,4 +1,4 @@
-"""What a table or figure of the paper is: the runs that it takes, and the files that are made of them.
+"""The definition of a table or figure of the paper: the runs that it needs, and the files made from them.
 
 Source of tasks, methods and lengths: Sharma et al. 2022, tables 1 and 2.
 """
@@ -70,7 +70,7 @@ class Artefact:
     blocks: Callable[[str], list[Block]]
     report: Callable[[Sequence[Path]], Report]
     variants: bool = False
-    """Whether `report` takes runs of a method that differ in other options than those of its block."""
+    """Whether `report` accepts runs of a method that differ in options other than those of its block."""
 
     def write(self, folders: Sequence[Path], out: Path) -> list[Path]:
         """Write the report on run `folders` into `out` and return its files: csv, md, png. Raises as `report`."""
@@ -78,7 +78,7 @@ class Artefact:
 
 
 def methods_on(env: str, methods: tuple[str, ...] = METHODS) -> tuple[str, ...]:
-    """Return those of `methods` that can run on a task: VaPRL needs demonstrations."""
+    """Return the `methods` that can run on a task: VaPRL needs demonstrations."""
     has_demos = make(env).demonstrations.recorded
     return tuple(method for method in methods if has_demos or method != "vaprl")
 
@@ -94,5 +94,5 @@ def column(rows: Iterable[Row], name: str) -> np.ndarray:
 
 
 def mean_text(values: np.ndarray, style: str) -> str:
-    """Return the mean of `values [seeds]` in a format, of several with the standard error in brackets."""
+    """Return the mean of `values [seeds]` in a format, with the standard error in brackets if there are several."""
     return error_text(values.mean(), stderr(values), style)

@@ -22,13 +22,13 @@ from earl_jax.report.tables import markdown_table, millions
 Cell = tuple[str, str]
 """A task and a method."""
 EPISODIC = "oracle"
-"""The method that resets, which is no autonomous one and which table 2 lacks."""
+"""The method that resets; it is not autonomous, and table 2 does not contain it."""
 
 
 class Claim(NamedTuple):
     """A claim `text` about table `number`, by one comparison that it makes on a task.
 
-    The method `first` scores above `second`, or where that is None, no higher at the end of its life than at the beginning.
+    The method `first` scores above `second` or, if that is None, no higher at the end of its life than at the start.
     """
 
     number: int

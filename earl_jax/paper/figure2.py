@@ -73,8 +73,8 @@ def report(folders: Sequence[Path]) -> Report:
     """Return figure 2 from run folders of `naive`, with rows of the final returns and of every evaluation.
 
     Raises:
-        ValueError: a folder is no run, or one of another method or without resets, runs of one point differ in other options,
-            or matplotlib is not installed.
+        ValueError: a folder is not a run, or its run has another method or no resets, runs of one point differ in other
+            options, or matplotlib is not installed.
     """
     arms = _arms(read_all(folders))
     rows, curves = [], []

@@ -66,7 +66,7 @@ def report(folders: Sequence[Path]) -> Report:
     """Return figure 3 from the maps of visited positions of run folders, which need no checkpoints.
 
     Raises:
-        ValueError: as `report_of`, or a folder is no run or has neither policies nor a checkpoint.
+        ValueError: a folder is not a run or has neither policies nor a checkpoint, or `report_of` raises it.
     """
     read = [(folder.config.algo, *load_visits(folder)) for folder in map(RunFolder.open, folders)]
     return report_of(

@@ -40,7 +40,7 @@ def report(folders: Sequence[Path]) -> Report:
     for config in configs.values():
         key = pooling_key(config)
         if keys.setdefault(config.algo, key) != key:
-            raise InputError(f"runs of {config.algo} differ in their task or their options; name those of one")
+            raise InputError(f"runs of {config.algo} differ in task or options; name runs that have the same")
     for folder, config in configs.items():
         successes = [evaluate(folder, EPISODES, starts=starts)["deployed/success"] for starts in ("initial", "uniform")]
         for seed, initial, uniform in zip(config.seeds, *(values.tolist() for values in successes), strict=True):

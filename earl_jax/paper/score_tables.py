@@ -31,7 +31,7 @@ TESTS = ("task", "method", "steps", "ours", "published", "difference [95 %]", "p
 """The columns of the table of tests."""
 DIGITS = {"deployed/success": ".3f", "deployed/return": ".2f"}
 LONGEST = 40
-"""Letters of a label in the picture at most."""
+"""Largest number of letters of a label in the picture."""
 
 
 def report(number: int, folders: Sequence[Path]) -> Report:

@@ -1,4 +1,4 @@
-"""The trade-off that the paper's conclusion names: how well and how fast a policy is learnt by the interventions spent.
+"""The trade-off that the paper's conclusion names: how well and how fast a policy is learnt, by interventions spent.
 
 Source: Sharma et al. 2022, section 7, which asks for it by task and shows no figure. The exhibit is ours: the probability
 epsilon of an intervention, and a budget h_max for help that the agent requests (appendix A.2).
@@ -56,7 +56,7 @@ def report(folders: Sequence[Path]) -> Report:
     """Return the trade-off from run folders, with a row per seed.
 
     Raises:
-        ValueError: a folder is no run, two runs of one point differ in other options, or matplotlib is not installed.
+        ValueError: a folder is not a run, two runs of a point differ in other options, or matplotlib is not installed.
     """
     runs = read_all(folders)
     rows, metrics = seed_rows(runs), {run.config.env: run.deployed_metric for run in runs}

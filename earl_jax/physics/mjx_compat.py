@@ -2,7 +2,7 @@
 
 XLA's CPU compiler fuses MJX's scan along a chain of bodies and recomputes every parent in each child. The cost is
 exponential in the length of the chain: 248 ms instead of 0.4 ms for one step of the Sawyer arm. An optimization barrier
-on the scan's carry prevents the fusion and changes no value. The other is `sum_cones_by_contact`.
+on the scan's carry prevents the fusion and changes no value. The second workaround is `sum_cones_by_contact`.
 """
 
 import functools

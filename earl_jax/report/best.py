@@ -1,4 +1,4 @@
-"""The runs of a sweep ranked by their score, with what can and what cannot be told apart from the best of a task."""
+"""The runs of a sweep ranked by their score, with tests of which runs differ from the best of their task."""
 
 import math
 from collections.abc import Sequence
@@ -108,7 +108,7 @@ def best_text(rows: Sequence[Row], test: Test = "permutation", top: int = 20, wi
     """Return a table of the `top` rows of each task, what cannot be told from its best, and the rule.
 
     Raises:
-        ValueError: `top` is no whole number, or less than 1.
+        ValueError: `top` is not a whole number, or less than 1.
     """
     require("top", top, COUNT)
     parts: list[str] = []

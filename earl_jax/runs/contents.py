@@ -1,4 +1,4 @@
-"""What is in a run folder: whether a run has results there, which entries are a run's own, and their removal."""
+"""The contents of a run folder: whether it holds results, which entries belong to a run, and their removal."""
 
 import itertools
 import os
@@ -65,7 +65,7 @@ def check_entries(path: Path) -> None:
     for name in FOLDERS:
         check_kind(path / name, stat.S_IFDIR)
     for entry in filter(Path.is_symlink, _below(path)):
-        raise InputError(f"{entry} is a link, and a run writes through none; remove it")
+        raise InputError(f"{entry} is a link, and a run does not write through links; remove it")
     if (path / METRICS).exists() and not os.access(path / METRICS, os.W_OK):
         raise InputError(f"{path / METRICS} can't be written to: Permission denied; give this user the right to")
 

@@ -1,4 +1,4 @@
-"""Files that stay valid after a kill, on a full disk and with other processes. No link and no pipe is opened."""
+"""Files that stay valid after a kill, on a full disk and beside other processes. Links and pipes are never opened."""
 
 import contextlib
 import errno
@@ -53,10 +53,10 @@ def check_kind(path: Path, kind: int = stat.S_IFREG) -> None:
 def check_folder(path: Path) -> None:
     """Raise an InputError if `path` is or leads through a file, or is an address, such as gs://bucket/run, not a local folder."""
     if re.match("[a-z][a-z0-9]+:/", path.as_posix()):
-        raise InputError(f"{path} is an address, and runs are written to local folders; choose one and copy it there")
+        raise InputError(f"{path} is an address, but runs need a local folder; choose one, and copy it there later")
     for each in (path, *path.parents):
         if each.exists() and not each.is_dir():
-            raise InputError(f"{each} exists and is not a folder; choose another folder")
+            raise InputError(f"{each} exists, but is not a folder; choose another folder")
 
 
 def require_suffix(path: Path, suffixes: Collection[str], noun: str) -> None:
@@ -155,7 +155,7 @@ def locked(path: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise InputError(f"{path} is in use by another process; repeat this when that has ended") from None
+            raise InputError(f"{path} is in use by another process; try again when that process has ended") from None
         except OSError as error:
             if error.errno not in WITHOUT_LOCKS:
                 raise OSError(f"{path} can't be locked: {error.strerror or error}") from error

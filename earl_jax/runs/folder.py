@@ -1,4 +1,4 @@
-"""The folder of a run: config.json, metrics.csv, policies.npz, checkpoints."""
+"""The folder of a run: config.json, metrics.csv, policies.npz and checkpoints."""
 
 import contextlib
 import dataclasses

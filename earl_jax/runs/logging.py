@@ -136,7 +136,7 @@ class OptionalLog:
         except Exception as error:
             self._failed = True
             cause = " ".join(str(error).split()) or type(error).__name__
-            warn(f"the log {self._name} has failed and receives nothing more, and training goes on: {cause}")
+            warn(f"the log {self._name} has failed and receives nothing more; training goes on: {cause}")
 
 
 LIBRARIES = {TENSORBOARD: "tensorboardX", WANDB: "wandb"}

@@ -23,8 +23,8 @@ SILENCE = 60.0
 class Progress:
     """A context that shows steps and evaluations on stderr; without `show` it prints nothing.
 
-    `metric` names the deployed metric whose mean is shown. The first call of a program compiles it: `working` says so. If
-    stderr is no terminal, a thread prints a line after each `SILENCE` without one, also during compilation.
+    `metric` names the deployed metric whose mean is shown. The first call of a program compiles it: `working` says so.
+    If stderr is not a terminal, a thread prints a line after each `SILENCE` without one, also during compilation.
     """
 
     def __init__(self, *, label: str, steps: int, metric: str, show: bool, compile_time: str = "about 10 s"):

@@ -62,7 +62,7 @@ def _git(package: Path, *command: str) -> str:
 def installed_release(package: Path) -> tuple[str | None, str | None]:
     """Return the version of the wheel that `package` was installed from, and its commit if that was built from a git URL.
 
-    Both end in `CHANGED` if a module differs from the wheel's; they are None for a package that is no wheel's.
+    Both end in `CHANGED` if a module differs from the wheel's; they are None for a package that is not from a wheel.
     """
     try:
         wheel = metadata.distribution("earl-jax")

@@ -1,4 +1,4 @@
-"""Output that may lead nowhere: a closed stream, a full disk or a reader that goes away never ends the work of a process."""
+"""Output streams that may fail: a closed stream, a full disk or a reader that goes away never ends a process's work."""
 
 import contextlib
 import io

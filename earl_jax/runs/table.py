@@ -24,7 +24,7 @@ COLUMNS = {
 }
 """Metrics that every run writes; others depend on the task, the method and the release."""
 LONGEST = 1 << 16
-"""Letters of a line; a longer one is cut, is no row and is the last one read, so that no file takes much memory."""
+"""Letters of a line; a longer line is cut, is not a row and is the last line read, so that files use little memory."""
 BLOCK = 4096
 """Lines that are parsed together."""
 

@@ -1,4 +1,4 @@
-"""A search for options on Optuna: batches of runs are lanes of one program, scored at several steps; the worse ones end early.
+"""A search for options with Optuna: runs are lanes of one program and are scored at several steps; bad ones end early.
 
 Optuna's journal holds all that a search remembers. Samplers are made anew for every trial, so that a search that was killed
 proposes what it would have proposed.
@@ -67,8 +67,8 @@ def search(
         devices, emit, minutes: as those of `launcher.sweep`.
 
     Raises:
-        ValueError: Optuna is not installed, the file or a number is invalid, the devices are too few or the seeds do not
-            divide over them, or `out` is no local folder or has another search.
+        ValueError: Optuna is not installed, the file or a number is invalid, the devices are too few or the seeds do
+            not divide over them, or `out` is not a local folder or holds another search.
     """
     for name, number in {"trials": trials, "batch": batch, "rungs": rungs}.items():
         require(name, number, COUNT)

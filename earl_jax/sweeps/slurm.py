@@ -31,7 +31,7 @@ def submit(out: Path, tasks: list[Task], options: dict[str, str], emit: Callable
     """
     folder = out.resolve() / LOGS
     if (out / LOGS).is_symlink():
-        raise InputError(f"{out / LOGS} is a link, and a sweep writes through none; remove it")
+        raise InputError(f"{out / LOGS} is a link, and a sweep does not write through links; remove it")
     if tasks:
         job = _sbatch(folder, tasks, options)
         for number, task in enumerate(tasks):

@@ -74,7 +74,7 @@ def option(space: Any, value: Any) -> Any:
 
 
 def check_ends(base: grid.RunSpec, spaces: dict[str, Any]) -> None:
-    """Raise a ValueError if an end of an interval, or one of the choices, is no valid value of its option.
+    """Raise a ValueError if an end of an interval, or one of the choices, is not a valid value of its option.
 
     A trial in the journal with such a value would end every later call of the search.
     """

@@ -153,7 +153,7 @@ def require_same(owner: str, there: Mapping[str, Any], wanted: Mapping[str, Any]
     if names:
         differences = "; ".join(f"{name} {there.get(name)} there, {wanted.get(name)} here" for name in names)
         raise InputError(
-            f"{owner} that differs ({differences}); choose another --out, or take the values that are there"
+            f"{owner} that differs ({differences}); choose another --out, or use the values that are there"
         )
 
 

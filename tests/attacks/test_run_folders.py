@@ -72,7 +72,7 @@ def test_a_folder_of_any_name_holds_the_run_or_is_refused(name, whole, tmp_path,
 
 
 UNUSABLE = {
-    "gs://bucket/run": "is an address, and runs are written to local folders",
+    "gs://bucket/run": "is an address, but runs need a local folder",
     "/".join([LONG] * 20): "can't hold checkpoints: File name too long; mend this, or choose another folder",
 }
 

@@ -182,7 +182,7 @@ REFUSED = {
     "oracle": ("figure2", FISH, "oracle", [{}], "runs of naive, not of oracle"),
     "never": ("figure2", FISH, "naive", [{"env_options": {"train_horizon": 0}}], "fish_swim has none: train_horizon=0"),
     "figure2": ("figure2", FISH, "naive", DIFFERENT, r"H_T 100,000, with the biased update, differ in other options"),
-    "figure4": ("figure4", TABLETOP, "fbrl", DIFFERENT, "runs of fbrl differ in their task or their options"),
+    "figure4": ("figure4", TABLETOP, "fbrl", DIFFERENT, "runs of fbrl differ in task or options"),
     "tradeoff": ("tradeoff", TABLETOP, "naive", DIFFERENT, f"naive on {TABLETOP} with epsilon 0 differ in other"),
     "ages": ("tradeoff", TABLETOP, "naive", AGES, f"naive on {TABLETOP} has no evaluation in the first 20 steps"),
 }

@@ -70,8 +70,8 @@ def test_the_replay_of_a_program_is_that_of_all_its_lanes(tmp_path, grid, proble
         ({"logs": ["tensorbord"]}, r"unknown log 'tensorbord'; did you mean 'tensorboard'\? Choose from tensorboard, wandb"),
         ({"logs": "wandb"}, "logs must be a list"),
         ({"out": "gs://a/out"}, "gs:/a/out is an address"),
-        ({"out": __file__}, f"{__file__} exists and is not a folder"),
-        ({"out": f"{__file__}/runs"}, f"{__file__} exists and is not a folder"),
+        ({"out": __file__}, f"{__file__} exists, but is not a folder"),
+        ({"out": f"{__file__}/runs"}, f"{__file__} exists, but is not a folder"),
     ],
 )  # fmt: skip
 def test_runs_logs_and_folders_that_are_invalid_are_refused_in_one_line(tmp_path, grid, change, message, capsys):

@@ -1,4 +1,4 @@
-"""The same work on the host through `jax.pure_callback`, for a process in which XLA refuses the foreign function."""
+"""Host work through `jax.pure_callback`, the fallback for a process in which XLA refuses the foreign function."""
 
 from collections.abc import Callable
 

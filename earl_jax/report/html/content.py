@@ -1,4 +1,4 @@
-"""The content of a page, as texts and numbers that its template and its script lay out."""
+"""The content of a page, as texts and numbers that the page's template and script lay out."""
 
 import datetime
 import json

@@ -164,7 +164,7 @@ def _films(line: Line, policies: PolicyVideos | None) -> Iterator[tuple[Film, st
 
 
 def _content(film: Film, room: int) -> tuple[str, bytes]:
-    """Return the type and the content of a video; an InputError if it is no file, or larger than allowed or than `room`."""
+    """Return type and content of a video; an InputError if it is not a file, or larger than allowed or than `room`."""
     if film.file is None or film.file.is_symlink() or not film.file.is_file():
         raise InputError(film.problem)
     size = film.file.stat().st_size
