@@ -24,10 +24,7 @@ DEEPEST = 8
 
 
 class Interval(NamedTuple):
-    """The valid values of an option, in the usual notation: `(0, 1]` excludes 0 and includes 1.
-
-    A value of a `whole` interval is a single whole number, not an array.
-    """
+    """The valid values of an option: `(0, 1]` excludes 0 and includes 1; a `whole` one is for a single whole number."""
 
     text: str
     whole: bool = False
