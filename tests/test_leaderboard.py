@@ -100,7 +100,7 @@ def test_only_runs_with_scripted_corrections_say_so(tmp_path):
     for name, options in {"on": {}, "off": {"corrected": 0.0}}.items():
         written(tmp_path / "leaderboard" / "sawyer_peg" / name, SCORES, "cfbrl", env="sawyer_peg", **options)
     labels = [group.label for group in leaderboard.entries(tmp_path)]
-    assert labels == ["cfbrl (corrected=0)", "cfbrl (scripted corrections of this task)"]
+    assert labels == ["cfbrl (corrected=0)", "cfbrl (scripted corrections of this task; corrected=0.5)"]
 
 
 @pytest.mark.parametrize(

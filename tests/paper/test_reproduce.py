@@ -187,7 +187,7 @@ def test_a_missing_library_is_named_before_any_training(tmp_path, monkeypatch):
         ({"name": "table1", "scale": "huge"}, "unknown scale 'huge'; choose from smoke, short, full"),
         ({"name": "table1", "options": {"colour": 1}}, "no option 'colour'"),
         ({"name": "table1", "options": {"rnd_clip": float("inf")}}, "option rnd_clip = Infinity: the grid .* TOML"),
-        ({"name": "table1", "options": {"hidden_sizes": 16}}, r"write it as \[\[256, 256\]\]"),
+        ({"name": "table1", "options": {"hidden_sizes": 16}}, r"write it as \[\[16\]\]"),
         ({"name": "table1", "options": {"a b": 1}}, "option a b = 1: the grid .* has no such name or value"),
         ({"name": "table1", "steps": -1}, r"steps must lie in \[1, 2147483647\], not -1"),
         ({"name": "table1", "minutes": 0}, r"minutes must lie in \(0, inf\), not 0"),

@@ -195,7 +195,7 @@ UNIFORM = "uniform = [0.9, 0.99]"
         (("discount", "reward_type"), "reward_type decides between success and return"),
         ((SPACE[SPACE.index("learning_rate") :], ""), "needs options with a distribution"),
         ((UNIFORM, "uniform = [0.9, 2.0]"), r"discount must lie in .*, not 2"),
-        (("[1, 4]", "[-5, 4]"), "random_steps must be .*, not -5"),
+        (("[1, 4]", "[-5, 4]"), "random_steps must .*, not -5"),
         (("[[16], [32, 32]]", "[[16], [0]]"), "hidden_sizes must be"),
         ({"trials": 0}, r"trials must lie in \[1, 2147483647\], not 0"),
         ({"devices": 0}, r"devices must lie in \[1, 2147483647\], not 0"),
