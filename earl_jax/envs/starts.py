@@ -1,5 +1,6 @@
 """The distributions of starts of an evaluation, by name."""
 
+import functools
 from collections.abc import Callable
 
 import jax
@@ -32,6 +33,24 @@ def start_of(env: Env, starts: str) -> Callable[[jax.Array], State]:
         reason = ": they belong to sparse tasks whose object can be anywhere" if starts == "wide" else ""
         raise InputError(f"{env.name} has no {starts} starts{reason}")
     return start
+
+
+def starts_of(env: Env, start: str | Callable, pairs: str) -> Callable[[jax.Array, int], State]:
+    """Return the function `(key, episodes) -> State`, leaves [episodes, ...], of the starts of an evaluation.
+
+    `start` is a distribution of `env` by name, or a function `start(key) -> State`.
+
+    Raises:
+        ValueError: `pairs` is unknown, or balanced with other starts than `initial`, or as `start_of`.
+    """
+    require_known("pairs", pairs, EVAL_PAIRS)
+    draw = start if callable(start) else start_of(env, start)
+    if pairs == EVAL_PAIRS[0]:
+        return lambda key, episodes: jax.vmap(draw)(jax.random.split(key, episodes))
+    if start != STARTS[0]:
+        given = "a function's" if callable(start) else start
+        raise InputError(f"{pairs} pairs need the task's own starts (initial), not {given} ones")
+    return functools.partial(balanced_starts, env)
 
 
 @package_types()

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from earl_jax.envs import Env, State, balanced_starts, start_of
-from earl_jax.envs.starts import EVAL_PAIRS, STARTS
+from earl_jax.envs import Env, State
+from earl_jax.envs.starts import STARTS, starts_of
 from earl_jax.envs.state import tree_where
-from earl_jax.errors import InputError, require_known
+from earl_jax.errors import InputError
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, EPISODES, require
 
@@ -75,16 +75,10 @@ def deployed(
             than the initial ones, `episodes` or `horizon` is not a positive whole number, or `policy` computes outside
             jax.
     """
-    require_known("pairs", pairs, EVAL_PAIRS)
+    draw = starts_of(env, start, pairs)
     require("episodes", episodes, EPISODES)
     require("horizon", horizon, COUNT)
-    draw = start if callable(start) else start_of(env, start)
-    if pairs == "random":
-        states = jax.vmap(draw)(jax.random.split(key, episodes))
-    elif start == STARTS[0]:
-        states = balanced_starts(env, key, episodes)
-    else:
-        raise InputError(f"{pairs} pairs are those of the task's own starts: leave out pairs, or start")
+    states = draw(key, episodes)
     if wide is not None:
         wide_keys = jax.random.split(jax.random.fold_in(key, WIDE_KEY), episodes)
         states = jax.tree.map(lambda *parts: jnp.concatenate(parts), states, jax.vmap(wide)(wide_keys))

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from earl_jax.algos import Method
-from earl_jax.envs import Env, start_of, with_engine, without_budget
+from earl_jax.envs import Env, with_engine, without_budget
 from earl_jax.envs.checks import require_result
-from earl_jax.envs.starts import EVAL_PAIRS, STARTS
+from earl_jax.envs.starts import EVAL_PAIRS, STARTS, starts_of
 from earl_jax.envs.state import all_finite
-from earl_jax.errors import InputError, require_known
+from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
 from earl_jax.metrics.phase_stats import phase_metrics
@@ -95,21 +95,12 @@ def evaluate(
     require("episodes", episodes, EPISODES)
     run = RunFolder.open(folder)
     env = with_engine(run.config.build_task(), engine)
-    start_of(env, starts)  # an error before the policies are read
-    pairs = _pairs_of(run, starts, pairs)
+    if pairs is None:
+        pairs = run.config.build_setting().eval_pairs if starts == STARTS[0] else EVAL_PAIRS[0]
+    starts_of(env, starts, pairs)  # an error before the policies are read
     policies = load_policies(run)
 
     def evaluate_policy(policy):
         return deployed(env, policy, jax.random.key(seed), env.eval_horizon, episodes, starts, pairs=pairs)
 
     return {name: np.asarray(values) for name, values in jax.jit(jax.vmap(evaluate_policy))(policies).items()}
-
-
-def _pairs_of(run: RunFolder, starts: str, pairs: str | None) -> str:
-    """Return how an evaluation of `run` draws pairs of start and goal; raise a ValueError if `pairs` is unknown or impossible."""
-    if pairs is None:
-        return run.config.build_setting().eval_pairs if starts == STARTS[0] else EVAL_PAIRS[0]
-    require_known("pairs", pairs, EVAL_PAIRS)
-    if starts != STARTS[0] and pairs != EVAL_PAIRS[0]:
-        raise InputError(f"{pairs} pairs need the task's own starts (initial), not {starts} ones")
-    return pairs

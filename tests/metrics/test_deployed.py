@@ -94,9 +94,7 @@ def test_an_action_that_is_not_finite_makes_the_return_nan_and_is_no_success(env
 def test_an_unknown_way_to_draw_pairs_and_no_episodes_are_refused(env):
     with pytest.raises(ValueError, match="unknown pairs 'stratified'; choose from random, balanced"):
         deployed(env, idle, KEY, 1, 4, pairs="stratified")
-    with pytest.raises(
-        ValueError, match="balanced pairs are those of the task's own starts: leave out pairs, or start"
-    ):
+    with pytest.raises(ValueError, match=r"balanced pairs need the task's own starts \(initial\), not uniform ones"):
         deployed(env, idle, KEY, 1, 4, start="uniform", pairs="balanced")
     with pytest.raises(ValueError, match="unknown starts None; choose from initial, uniform, wide"):
         deployed(env, idle, KEY, 1, 4, start=make("franka_kitchen").starts.uniform)
