@@ -87,6 +87,12 @@ def require_result(what: str, result: Any, shape: tuple[int, ...], kind: str) ->
         raise InputError(f"{what} must be {kind}{list(shape)}, not {given.dtype}{list(given.shape)}")
 
 
+def first_difference(before: dict[str, str], after: dict[str, str]) -> tuple[str, str, str]:
+    """Return the name and the texts of the first entry in which the two differ; `missing` where one has none."""
+    name, _ = min(before.items() ^ after.items())
+    return name, before.get(name, "missing"), after.get(name, "missing")
+
+
 def require_like(what: str, result: Any, given: Any) -> None:
     """Raise an InputError about `what` unless the leaves of `result` have the names, shapes and types of `given`."""
     before, after = (
@@ -94,6 +100,5 @@ def require_like(what: str, result: Any, given: Any) -> None:
         for leaves in map(jax.tree.leaves_with_path, (given, result))
     )
     if before != after:
-        name, _ = min(before.items() ^ after.items())
-        was, now = (leaves.get(name, "missing") for leaves in (before, after))
+        name, was, now = first_difference(before, after)
         raise InputError(f"{what} with the same leaves, but {name or 'it'} was {was} and is {now}")

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.envs.checks import first_difference
 from earl_jax.errors import InputError
 from earl_jax.runs import archive
 from earl_jax.runs.files import PART, check_kind, make_folder, warn
@@ -151,8 +152,7 @@ def _joined(folders: Sequence[Path], parts: Sequence[dict[str, np.ndarray]], siz
         wanted = {name: f"{leaf.dtype}{[size, *leaf.shape[1:]]}" for name, leaf in expected.items()}
         found = {name: f"{array.dtype}{[*array.shape]}" for name, array in arrays.items()}
         if found != wanted:
-            name, _ = min(found.items() ^ wanted.items())
-            there, here = (shapes.get(name, "missing") for shapes in (found, wanted))
+            name, there, here = first_difference(found, wanted)
             cause = f"{name} is {there} there and {here} here; have the task, the method or the learner changed?"
             raise InputError(f"a checkpoint in {folder} does not belong to this run: {cause}")
     return typed({name: np.concatenate([arrays[name] for arrays in parts]) for name in expected}, like)
