@@ -3,6 +3,7 @@
 import functools
 import json
 import os
+from collections import ChainMap
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -79,7 +80,7 @@ def gather(
     runs: dict[str, Curves] = {}
     left_out: dict[Path, str] = {}
     for path in find_runs(folders):
-        extended, added = dict(runs), []
+        extended, added = ChainMap({}, runs), []
         try:
             for curves in by_values(read(path, window)):
                 check(curves)
@@ -95,7 +96,7 @@ def gather(
             text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
             left_out[path] = text if str(path) in text else f"{path}: {text}"
         else:  # all parts of a run or none
-            runs = extended
+            runs |= extended.maps[0]
             for key, curves in added:
                 pools.setdefault(key, []).append(curves)
     if not pools:
