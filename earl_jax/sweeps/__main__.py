@@ -55,16 +55,14 @@ def serve(task: dict[str, Any]) -> int:
 
     try:
         from earl_jax.runs.config import RunConfig  # jax, which takes seconds, is imported here
-        from earl_jax.runs.logging import check_logs
         from earl_jax.sweeps import worker
 
         for record in task.get("imports", ()):
             imports.note(**record)
         imports.run_noted()
         if "grid" in task:
-            logs = task.get("logs", ())
-            check_logs(logs)
-            report(state="planned", plan=worker.plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"], logs))
+            plan = worker.plan(Path(task["grid"]), Path(task["out"]), task["max_lanes"], task.get("logs", ()))
+            report(state="planned", plan=plan)
             return 0
         configs = {name: RunConfig(**fields) for name, fields in task["runs"].items()}
     except Exception as error:

@@ -80,8 +80,10 @@ def plan(path: Path, out: Path, max_lanes: int | None = None, logs: Sequence[str
     """Return the plan of a grid as JSON values (`launcher.plan_sweep` describes them); nothing is written.
 
     Raises:
-        ValueError: a run is invalid, or its folder holds another run; the message names it.
+        ValueError: a log is unknown, or a run is invalid, its folder holds another run, or it began without one of
+            `logs`; the message names it.
     """
+    check_logs(logs)
     check_folder(out)
     out = out.resolve()
     planned = [planned_run(spec, out, logs) for spec in grid.read(path)]
