@@ -32,7 +32,7 @@ class Goals(NamedTuple):
         return self.table[self.tasks + self.initials :]
 
     def lacks(self, indices: "GoalIndices") -> jax.Array:
-        """Return whether one of `indices` is none of a goal or of a task goal here, bool []."""
+        """Return whether `indices` have a goal outside the table, or a task that is not a task goal, bool []."""
         is_goal = (indices.goal >= 0) & (indices.goal < len(self.table))
         return ~(is_goal & (indices.task >= 0) & (indices.task < self.tasks))
 
