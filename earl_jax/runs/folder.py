@@ -221,7 +221,7 @@ class RunFolder:
         later = [f"{CHECKPOINTS}/{step:09d}" for step in steps if step > table.step]
         step = max((step for step in steps if step <= table.step), default=0)
         remedy = f"{resume_command(self.path)} continues from step {step} and writes later rows again"
-        if later or (not step and self.policies.exists()):  # without checkpoints, such a run is not resumed
+        if later or not step:
             start = f"train again with: earl-jax train --config {shlex.quote(str(self.path))} --out NEW"
             remedy = f"delete {' and '.join(later)} to resume from step {step}" if step else start
             remedy = f"restore the file from a copy, or {remedy}"

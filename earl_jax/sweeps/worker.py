@@ -136,7 +136,7 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
 
     Raises:
         ValueError: the folder is damaged, rows of its metrics are missing, it holds another or a longer run (the message
-            gives the differences), or a shorter one whose checkpoints were removed.
+            gives the differences), or an unfinished one whose checkpoints were removed.
     """
     folder = RunFolder.open(path)
     existing, wanted = folder.config.values, config.values
@@ -144,7 +144,7 @@ def open_folder(path: Path, config: RunConfig) -> RunFolder:
     if not shorter:
         require_same(f"{path} holds a run", existing, wanted)
     step = folder.require_resumable().step
-    if shorter:
+    if step < config.steps:
         require_checkpoint(folder, step)
     return folder
 

@@ -21,6 +21,7 @@ from earl_jax.options.values import COUNT, TimeLimit, require, require_object
 from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.config import RESERVED, RunConfig
+from earl_jax.runs.contents import has_results
 from earl_jax.runs.files import warn
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import failing_at_once, first_host
@@ -161,6 +162,8 @@ def resume(
     opened = RunFolder.open(folder)
     step = opened.require_resumable().step  # rather than after the training
     require_checkpoint(opened, step)
+    if step and not newest(opened.checkpoints):
+        warn(f"{opened.path} has no checkpoint yet, so its {step:,} steps are trained again")
     if not isinstance(logs, Sequence) or any(isinstance(log, str) for log in logs):
         raise InputError(f"resume takes a list of log objects, not {brief(logs)}; logs named in train continue anyway")
     check_logs([*opened.logs, *logs])
@@ -190,21 +193,20 @@ def _extended(folder: RunFolder, steps: int, step: int) -> RunConfig:
 def require_checkpoint(folder: RunFolder, step: int) -> None:
     """Raise an InputError if the checkpoints of a run whose metrics end at `step` were removed: it would start anew.
 
-    If the run ended before its first checkpoint, training does start anew, and a `RunWarning` says so.
+    A run that ended before its first checkpoint does start anew. It has a folder for them, which copies of runs lack.
     """
     if newest(folder.checkpoints):
         return
     path, config = folder.path, folder.config
     step = max(step, policies_step(folder.policies))
-    if step == config.steps or step - config.eval_every >= config.checkpoint_every:
+    is_copy = has_results(path) and not folder.checkpoints.is_dir()
+    if is_copy or step == config.steps or step - config.eval_every >= config.checkpoint_every:
         state = "is finished" if step == config.steps else f"has reached step {step:,}"
         name = shlex.quote(str(path))
         raise InputError(
             f"{path} {state} ({config.steps:,} steps) and its checkpoints are gone; earl_jax.load({str(path)!r}) or "
             f"earl-jax show {name} reads it; to train it again: earl-jax train --config {name} --out NEW"
         )
-    if step:
-        warn(f"{path} has no checkpoint yet, so its {step:,} steps are trained again")
 
 
 def _execute(program: Program, run: Run, progress: bool, limit: TimeLimit | None) -> Result:

@@ -97,8 +97,21 @@ def test_a_run_whose_checkpoints_were_removed_is_not_trained_again(finished):
     assert "has reached step 120 (240 steps) and its checkpoints are gone" in message_of(lambda: resume(finished))
 
 
+@pytest.mark.parametrize(("lines", "step"), [(5, 80), (2, 0)], ids=["whole", "damaged"])
+def test_a_copy_of_config_and_metrics_is_not_trained_again(finished, lines, step):
+    shutil.rmtree(finished / "checkpoints")
+    (finished / "policies.npz").unlink()
+    RunFolder.open(finished).record(checkpoint_every=240)
+    kept = (finished / "metrics.csv").read_text().splitlines(keepends=True)[:lines]
+    (finished / "metrics.csv").write_text("".join(kept))
+    with unchanged(finished):
+        message = message_of(lambda: resume(finished))
+    assert f"has reached step {step} (120 steps) and its checkpoints are gone" in message
+
+
 def test_a_run_that_ended_before_its_first_checkpoint_is_trained_again_with_a_warning(finished):
     shutil.rmtree(finished / "checkpoints")
+    (finished / "checkpoints").mkdir()
     RunFolder.open(finished).record(steps=240, checkpoint_every=120)
     warned = pytest.warns(RunWarning, match="has no checkpoint yet, so its 120 steps are trained again")
     with warned, pytest.raises(AssertionError, match="training started"):

@@ -92,7 +92,8 @@ def test_runs_logs_and_folders_that_are_invalid_are_refused_in_one_line(tmp_path
 def test_folder_of_another_run_is_refused_and_stays_unchanged(tmp_path, grid):
     config = RunConfig(**worker.plan(grid, tmp_path)["groups"][0]["runs"][NAMES[0]])
     folder = RunFolder.create(tmp_path / NAMES[0], config, "kinematic")
-    folder.append(40, {"deployed/success": np.zeros(2)})
+    with folder.claimed():
+        folder.append(40, {"deployed/success": np.zeros(2)})
     assert list(worker.plan(grid, tmp_path)["groups"][0]["runs"]) == NAMES
     grid.write_text(GRID.replace("steps = 120", "steps = 240").replace("seeds = 2", "seeds = 3"))
     differences = r"seeds \[0, 1\] there, \[0, 1, 2\] here; steps 120 there, 240 here.*another --out"
@@ -198,6 +199,12 @@ def test_runs_of_a_grid_with_more_steps_go_on_from_their_last_checkpoint(tmp_pat
     shutil.rmtree(out / NAMES[1] / "checkpoints")
     grid.write_text(GRID.replace("steps = 120", "steps = 240"))
     with pytest.raises(ValueError, match=rf"{NAMES[1]} is finished \(120 steps\) and its checkpoints are gone"):
+        worker.plan(grid, out)
+    (out / NAMES[1] / "policies.npz").unlink()
+    whole = (out / NAMES[1] / "metrics.csv").read_text().splitlines(keepends=True)
+    (out / NAMES[1] / "metrics.csv").write_text("".join(whole[:5]))
+    grid.write_text(GRID)
+    with pytest.raises(ValueError, match=rf"{NAMES[1]} has reached step 80 \(120 steps\) and its checkpoints are gone"):
         worker.plan(grid, out)
 
 
