@@ -96,6 +96,12 @@ def test_a_row_says_which_settings_were_chosen_with_a_look_at_runs_of_the_task(t
     assert chosen == ["all options", "reward scale", "reward scale, phases", "-", "reward scale, subgoals"]
 
 
+def test_runs_of_one_method_are_named_by_options_that_one_of_them_lacks(tmp_path):
+    for name, options in {"default": {}, "all": {"replay_capacity": None}}.items():
+        written(tmp_path / "leaderboard" / "sawyer_peg" / name, SCORES, env="sawyer_peg", **options)
+    assert [group.label for group in leaderboard.entries(tmp_path)] == ["naive (replay_capacity=None)", "naive"]
+
+
 def test_only_runs_with_scripted_corrections_say_so(tmp_path):
     for name, options in {"on": {}, "off": {"corrected": 0.0}}.items():
         written(tmp_path / "leaderboard" / "sawyer_peg" / name, SCORES, "cfbrl", env="sawyer_peg", **options)

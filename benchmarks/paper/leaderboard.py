@@ -75,7 +75,7 @@ def _named(curves: Curves, runs: list[Curves]) -> Curves:
     """Return `curves` named by its changed options in which its method's runs differ, and `SCRIPTED` where that is so."""
     cell, own = (curves.algo, curves.env), curves.options
     peers = [other.options for other in runs if (other.algo, other.env) == cell]
-    named = {name: own[name] for name in own if any(other.get(name) != own[name] for other in peers)}
+    named = {name: own[name] for name in own if any(other.get(name, "the default") != own[name] for other in peers)}
     marks = [SCRIPTED] if cell == CORRECTED[:2] and own.get(CORRECTED[2]) != 0 else []
     text = "; ".join([*marks, options_text(named)] if named else marks)
     return curves._replace(label=f"{curves.algo} ({text})" if text else curves.algo)
