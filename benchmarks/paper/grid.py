@@ -23,7 +23,7 @@ LEGEND = (
     "A cell has our score, the published one over the same steps, and the verdict of a test over seeds (permutation; for the "
     "Minitaur Welch's; p adjusted over the methods of a task): ▲ above, ▼ below, or ? where the seeds cannot tell. A cell "
     f"with less than {100 * WHOLE:.0f} % of its steps shows its share. The first three tasks are scored by success, the "
-    "others by return. No runs of the Minitaur were released, so its cells show the printed score of the whole run. The "
+    "others by return. No runs of the Minitaur were released, so its cells show the printed score, of the last evaluation. The "
     "lightbulb is our reconstruction and is not compared."
 )
 OURS = {"color": "#0072B2"}
@@ -54,8 +54,8 @@ def summary(rows: Sequence[Row]) -> str:
     sentences = (
         f"Of the {len(rows)} cells of the paper's table 1, {len(whole)} have run for {100 * WHOLE:.0f} % of its steps or more.",
         f"In {len(open_ones)} of these we detect no difference from the paper (p = "
-        f"{min(row['p_holm'] for row in open_ones):.2g} or more, adjusted over the methods of a task). Their seeds "
-        f"would detect only differences of {_listed(_detectable(open_ones))}, depending on the cell. With the adjustment "
+        f"{min(row['p_holm'] for row in open_ones):.2g} or more, adjusted over the methods of a task). Where "
+        f"seeds differ, they would detect only differences of {_listed(_detectable(open_ones))}, depending on the cell. With the adjustment "
         "they would detect only larger ones.",
         f"Of the others, {_listed(differing)}." if told else "No other differs.",
         f"The other cells have run for {100 * min(shares):.0f} to {100 * max(shares):.0f} % of their steps.",

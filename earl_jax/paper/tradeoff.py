@@ -180,14 +180,10 @@ def _draw(lines: Lines, metrics: dict[str, str]) -> Any:
 
 
 def _draw_line(axis: Any, line: Sequence[Sequence[Row]], score: str, rate: bool, **look: Any) -> None:
-    """Draw one line, with the value of epsilon or the budget beside each point, above those of the lines before it."""
-    above = 4 + 8 * len(axis.containers)
+    """Draw one line, whose points are the values of epsilon or the budget."""
     spent = [column(seeds, "interventions").mean() for seeds in line]
     estimate = Estimate(*zip(*(mean_interval(column(seeds, score), rate) for seeds in line), strict=True))
     axis.errorbar(spent, estimate.value, style.reach(estimate), capsize=3, markersize=5, **look)
-    for x, y, seeds in zip(spent, estimate.value, line, strict=True):
-        text, font = f"{seeds[0]['value']:g}", {"color": look["color"], "fontsize": "x-small"}
-        axis.annotate(text, (x, y), (4, above), textcoords="offset points", **font)
 
 
 TRADEOFF = Artefact("tradeoff", TASKS, blocks, report)

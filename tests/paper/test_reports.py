@@ -48,7 +48,7 @@ TEXTS = {
         "20 steps (published 2,500,000), 1 seed, reward_scale=1, shorter than published",
         "sawyer_peg (naive, fbrl, r3l, vaprl, oracle)",
         INTERVAL_RULE,
-        "- sawyer_door: 0.94 of vaprl is one lucky evaluation",
+        "- sawyer_door: 0.94 of vaprl is one evaluation",
     ],
     "figure2": [
         "| 0.762 | 0.762 | cannot tell (detectable 81.6) | restored | agrees |",
