@@ -173,7 +173,7 @@ class SAC(Learner):
         agent = self._update_targets(agent)
         if self.actor_average_rate is not None:
             agent = agent.replace(averaged=follow(agent.averaged, agent.actor, self.actor_average_rate))
-        return agent, dict(zip(self.diagnostics, diagnostics, strict=True))
+        return agent, dict(zip(SAC.diagnostics, diagnostics, strict=True))
 
     def _repeat_critic_updates(self, key: jax.Array, agent: Agent, batch: Batch) -> tuple[Agent, Batch]:
         """Return the agent after critic updates on all but the last of `utd` batches, and the last batch."""
@@ -211,7 +211,7 @@ class SAC(Learner):
             parameters = self.policy(actor, batch.obs)
             action, log_prob = networks.sample_tanh_normal(parameters, key)
             values = self.q_values(soft, batch.obs, action)
-            value = values.min(axis=0) if self.ensemble == SOFT_CRITICS else values.mean(axis=0)
+            value = lesser(*values) if self.ensemble == SOFT_CRITICS else values.mean(axis=0)
             total = (temperature * log_prob - value).mean()
             if self.cloning is not None:
                 total += cloning_term(self, networks.mode(parameters), batch)
@@ -240,3 +240,12 @@ def _pair_min(values: jax.Array) -> jax.Array:
     """Return each critic's clipped double-Q value: the minimum over its pair, [K, ...] -> [K, ...]."""
     pairs = values.reshape(-1, 2, *values.shape[1:]).min(axis=1)
     return jnp.repeat(pairs, 2, axis=0)
+
+
+def lesser(first: jax.Array, second: jax.Array) -> jax.Array:
+    """Return the smaller of two arrays.
+
+    The gradient of `min` divides by the number of values that equal it. There are none, and the gradient is nan, if XLA
+    computes the values twice with other rounding, as on CPUs with JAX_DISABLE_MOST_OPTIMIZATIONS.
+    """
+    return jnp.where(first < second, first, second)

@@ -124,6 +124,26 @@ def test_an_update_is_a_step_of_the_critics_then_of_the_actor_on_them_then_of_th
     assert_equal_trees(diagnostics, expected, rtol=1e-4)
 
 
+def test_the_gradient_of_the_actor_divides_by_no_number_of_smallest_values(batch):
+    """That number is 0, and the gradient nan, where XLA computes the values twice with other rounding."""
+    agent = init(SHALLOW, jax.random.key(1), 4, SIZE)
+    assert "reduce_min" not in str(jax.make_jaxpr(SHALLOW.update_actor)(jax.random.key(0), agent, batch))
+
+
+def test_a_subclass_can_add_a_diagnostic(batch):
+    class Watched(SAC):
+        name = "watched"
+        diagnostics = (*SAC.diagnostics, "mean")
+
+        def update(self, key, agent, batch):
+            agent, diagnostics = super().update(key, agent, batch)
+            return agent, {**diagnostics, "mean": batch.reward.mean()}
+
+    sac = Watched(hidden_sizes=(4,))
+    agent = sac.init(jax.random.key(0), batch.obs.shape[1], batch.action.shape[1])
+    assert list(sac.update(jax.random.key(1), agent, batch)[1]) == list(Watched.diagnostics)
+
+
 def test_a_value_is_the_smallest_of_the_critics_without_an_entropy_term(batch):
     agent, key = init(SHALLOW, jax.random.key(1), 4, SIZE, entropy_free_pairs=1), jax.random.key(2)
     values = np.asarray(q_values(SHALLOW, agent.critics, batch.obs, SHALLOW.act(key, agent.actor, batch.obs)))
