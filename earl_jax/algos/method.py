@@ -15,10 +15,11 @@ from earl_jax.algos.learner.cloning import DemoSteps, clone
 from earl_jax.algos.learner.replay import CONTROLLERS, TransitionBatch
 from earl_jax.algos.learner.sac import SAC
 from earl_jax.algos.pytree import OptionsNode
+from earl_jax.assets import DIRECTIONS
 from earl_jax.envs import Env
 from earl_jax.envs.checks import require_like
-from earl_jax.errors import InputError, brief
-from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check_intervals, require, require_object
+from earl_jax.errors import InputError, brief, require_known
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, Interval, check_intervals, require, require_object
 
 TASK, RETURN = 0, 1
 """The indices of the two phases: reach the task goal, then return to prepare the next attempt."""
@@ -59,6 +60,8 @@ class Phase:
         given = self.demos
         if not isinstance(given, tuple) or not all(isinstance(demos, PhaseDemos) for demos in given):
             raise InputError(f"demos of a Phase must be a tuple of PhaseDemos, such as (FORWARD,), not {brief(given)}")
+        for demos in given:
+            require_known("direction of PhaseDemos", demos.direction, DIRECTIONS)
         require("the controller of a Phase", self.controller, COUNT_OR_NEVER)
         if self.length is not None:
             require("the length of a Phase", self.length, COUNT)
@@ -181,10 +184,14 @@ class Method(OptionsNode):
 
 
 def check_method(method: Method) -> None:
-    """Raise an InputError if the learner, the phases or an option of `method` is invalid, or `refresh` never runs."""
+    """Raise an InputError if the learner, the phases or a member of `method` is invalid, or `refresh` never runs."""
     learner, phases = method.learner, method.phases
     if not isinstance(phases, tuple | list) or not phases or not all(isinstance(phase, Phase) for phase in phases):
         raise InputError(f"{method.name}: phases must be a tuple of one Phase or more, not {brief(phases)}")
+    for name in ("refresh_every", "refresh_batch_size"):
+        require(f"{method.name}: {name}", getattr(method, name), COUNT_OR_NEVER)
+    if method.later_steps:
+        require(f"{method.name}: later_steps", method.later_steps, Interval("[1, 1000000000]"))
     if type(method).refresh is not Method.refresh and not method.refresh_every:
         raise InputError(f"{method.name}: refresh is never called; set refresh_every to the steps between two calls")
     require_object("learner", learner, Learner, or_name=False)
@@ -207,7 +214,7 @@ def controller_count(method: Method) -> int:
 def controller_of(method: Method, phase: jax.Array) -> jax.Array:
     """Return the index of the controller that acts in `phase`."""
     index = of_phase([phase.controller for phase in method.phases], phase)
-    return jax.numpy.broadcast_to(jax.numpy.asarray(index, jax.numpy.int32), jax.numpy.shape(phase))
+    return jnp.broadcast_to(jnp.asarray(index, jnp.int32), jnp.shape(phase))
 
 
 def select_controller(agent: Any, index: jax.Array) -> Any:
@@ -229,5 +236,5 @@ def of_phase(values: list[Any], phase: jax.Array) -> Any:
         return phase
     result = values[-1]
     for number, value in reversed(list(enumerate(values[:-1]))):
-        result = jax.numpy.where(phase == number, value, result)
+        result = jnp.where(phase == number, value, result)
     return result

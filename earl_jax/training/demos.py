@@ -72,7 +72,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
 
 def _uses(method: Method) -> list[tuple[int, PhaseDemos]]:
     """Return the controllers of `method` with their demonstrations: those of their phases or, with `all_demos`, all."""
-    uses = [(phase.controller, demos) for phase in method.phases for demos in phase.demos]
+    uses = list(dict.fromkeys((phase.controller, demos) for phase in method.phases for demos in phase.demos))
     if not method.learner.all_demos:
         return uses
     own = {(controller, demos.direction) for controller, demos in uses}

@@ -3,7 +3,7 @@
 import pytest
 
 from earl_jax.algos import SAC, Method, Phase, list_algos, make_algo
-from earl_jax.algos.method import FORWARD, check_method
+from earl_jax.algos.method import FORWARD, PhaseDemos, check_method
 from earl_jax.envs import KinematicEnv
 from earl_jax.errors import InputError
 
@@ -43,6 +43,8 @@ def test_a_member_that_is_nearly_called_as_an_inherited_one_is_an_error_when_the
 def test_the_demonstrations_of_a_phase_are_a_tuple(demos):
     with pytest.raises(InputError, match=r"must be a tuple of PhaseDemos, such as \(FORWARD,\), not"):
         Phase(demos)
+    with pytest.raises(InputError, match="unknown direction of PhaseDemos 'forwards'; did you mean 'forward'"):
+        Phase((PhaseDemos("forwards"),))
 
 
 @pytest.mark.parametrize("number", [{"controller": -1}, {"length": 0}, {"length": 2.5}])
@@ -55,6 +57,13 @@ def test_the_numbers_of_a_phase_are_checked(number):
 def test_phases_that_are_none_are_refused(phases):
     method = type("Empty", (Method,), {"name": "empty", "phases": phases})()
     with pytest.raises(InputError, match="empty: phases must be a tuple of one Phase or more, not"):
+        check_method(method)
+
+
+@pytest.mark.parametrize("number", [{"later_steps": 0.5}, {"refresh_every": 1e3}, {"refresh_batch_size": -1}])
+def test_the_numbers_of_a_method_are_checked(number):
+    method = type("Odd", (Method,), {"name": "odd", **number})()
+    with pytest.raises(InputError, match=f"odd: {next(iter(number))} must"):
         check_method(method)
 
 

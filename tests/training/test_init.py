@@ -133,6 +133,11 @@ def test_a_controller_has_its_demonstrations_or_with_all_demos_those_of_both_dir
         assert [int((~is_backward).sum()), int(is_backward.sum())] == expected
 
 
+def test_two_phases_of_one_controller_list_its_demonstrations_once(problem):
+    twice = type("Twice", (Method,), {"name": "twice", "phases": (Phase(), Phase(length=3))})()
+    np.testing.assert_array_equal(demo_rows(problem, twice).rows, demo_rows(problem, Method()).rows)
+
+
 def test_the_program_of_the_first_state_does_not_contain_the_replay(problem):
     method, rules = tiny_method("fbrl"), jax.tree.map(lambda rule: jnp.full(2, rule), problem.protocol.rules)
     capacity = empty_replay(problem, method, 1, RUN_STEPS).capacity
