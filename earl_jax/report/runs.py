@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from earl_jax.algos import preset_learner
 from earl_jax.envs import PAPER_TASKS, env_class, make
 from earl_jax.errors import InputError, printable
 from earl_jax.metrics.continuing import count_diverged
 from earl_jax.metrics.scores import DEFAULT, Score, Window
+from earl_jax.options.registry import LEARNERS
 from earl_jax.options.values import value_text
 from earl_jax.protocol import SETTINGS, Deployment
 from earl_jax.report.style import grouped, method_order, task_order
@@ -22,6 +24,8 @@ from earl_jax.runs.contents import METRICS
 from earl_jax.runs.files import warn
 from earl_jax.runs.folder import RunFolder
 
+CLASSES = {"env_class": None, "algo_class": None}
+"""The classes of task and method that `Curves.options` has where a name does not build them."""
 SAME_TASK = frozenset({"engine", "demo_file", "reward_type"})
 """Options of a task with which it is still the paper's task; `comparable` checks the kind of reward."""
 
@@ -198,12 +202,12 @@ def spacing(steps: np.ndarray) -> int:
 def labels(runs: Sequence[Curves]) -> list[str]:
     """Return a label for each of `runs`: its method, with the options in which runs on the same task differ.
 
-    The runs of one method are told apart by all options, those of other methods by options of task and setting alone,
-    without `SAME_TASK`. A run with the default of such an option is labelled with it, or with `default` where its class
+    The runs of one method are told apart by all options, those of other methods by the learner and by options of task and
+    setting, without `SAME_TASK`. A run with the default of such an option is labelled with it, or with `default` where its class
     is not known here.
     """
     tasks = grouped(runs, lambda curves: curves.env)
-    on_task = {env: _differing(members, [curves.task_options for curves in members]) for env, members in tasks.items()}
+    on_task = {env: _differing(members, list(map(_shared_options, members))) for env, members in tasks.items()}
     found: dict[int, str] = {}
     for (env, algo), members in grouped(runs, lambda curves: (curves.env, curves.algo)).items():
         differing = (on_task[env] - SAME_TASK) | _differing(members, [curves.options for curves in members])
@@ -211,11 +215,17 @@ def labels(runs: Sequence[Curves]) -> list[str]:
     return [found[id(curves)] for curves in runs]
 
 
+def _shared_options(curves: Curves) -> dict[str, Any]:
+    """Return the options that runs of all methods on a task can have."""
+    learner = {name: value for name, value in curves.config.options.items() if name == "learner"}
+    return {**curves.task_options, **learner}
+
+
 def _differing(runs: Sequence[Curves], options: Sequence[dict[str, Any]]) -> set[str]:
-    """Return the names in the `options` of `runs` that do not have the same value in all of them."""
+    """Return the names in the `options` of `runs` that do not have the same value in all runs that have them."""
     names = {name for changed in options for name in changed}
-    values = [_values(curves, names) for curves in runs]
-    return {name for name in names if len({value_text(value.get(name)) for value in values}) > 1}
+    values = [{**CLASSES, **_values(curves, names)} for curves in runs]
+    return {name for name in names if len({value_text(value[name]) for value in values if name in value}) > 1}
 
 
 def _values(curves: Curves, names: Iterable[str]) -> dict[str, Any]:
@@ -223,18 +233,18 @@ def _values(curves: Curves, names: Iterable[str]) -> dict[str, Any]:
     if not names:
         return {}
     config, defaults, unknown = curves.config, {"setting": Deployment.name}, {}
-    learner = {name: value for name, value in config.options.items() if name == "learner"}
     parts: list[Any] = [SETTINGS[config.setting["name"]]]
     try:
         parts.append(env_class(config.env))
     except InputError:
         unknown = dict.fromkeys(names, "default")
     try:
-        method = dataclasses.replace(config, options=learner).build_method()
-        parts += [method, method.learner]
-        defaults["learner"] = method.learner.name
-    except InputError:
-        unknown = dict.fromkeys(names, "default")
+        method = dataclasses.replace(config, options={}).build_method()
+        parts.append(method)
+        defaults["learner"] = learner = method.learner.name
+        parts.append(preset_learner(type(method), LEARNERS.get(config.options.get("learner", learner))))
+    except InputError:  # a run with a learner that is not known here has all options of that
+        unknown = unknown if "learner" in defaults else dict.fromkeys(names, "default")
     fields = {field.name: getattr(part, field.name, "default") for part in parts for field in dataclasses.fields(part)}
     known = {**unknown, **fields, **defaults, **curves.options}
     return {name: known[name] for name in names if name in known}

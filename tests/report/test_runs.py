@@ -35,10 +35,10 @@ def test_labels_have_the_options_that_differ_within_a_method_and_those_of_task_a
         write_run(tmp_path / "e", DOOR, "oracle", rising(1, 1)),
     ]
     assert labels(read_all([*paths, *others])) == [
-        "fbrl (budget=None, learner=td3, policy_delay=3, setting=deployment, wide=False)",
+        "fbrl (budget=None, learner=td3, setting=deployment, wide=False)",
         "fbrl (budget=20, learner=sac, setting=continuing, wide=False)",
         "fbrl (budget=None, learner=sac, setting=deployment, wide=True)",
-        "naive (budget=None, setting=deployment, wide=False)",
+        "naive (budget=None, learner=sac, setting=deployment, wide=False)",
         "oracle",
     ]
     for path in paths[:2]:
@@ -46,6 +46,25 @@ def test_labels_have_the_options_that_differ_within_a_method_and_those_of_task_a
     assert labels(read_all(paths[:2])) == [
         "theirs (budget=None, learner=td3, policy_delay=3, setting=deployment)",
         "theirs (budget=20, learner=default, policy_delay=default, setting=continuing)",
+    ]
+
+
+def test_learners_tell_runs_apart_without_the_options_that_only_one_of_them_has(tmp_path):
+    """Runs with a learner that is not known here have all of its options."""
+    runs = {
+        "a": ("fbrl", {"learner": "tqc", "dropped": 2, "discount": 0.9}),
+        "b": ("fbrl", {"learner": "crossq", "momentum": 0.9, "discount": 0.9}),
+        "c": ("fbrl", {"learner": "crossq", "momentum": 0.5, "discount": 0.9}),
+        "d": ("naive", {"discount": 0.9}),
+    }
+    paths = [write_run(tmp_path / name, TABLETOP, algo, rising(1, 1), discount=0.9) for name, (algo, _) in runs.items()]
+    for path, (_, options) in zip(paths, runs.values(), strict=True):
+        change_config(path, options=options)
+    assert labels(read_all(paths)) == [
+        "fbrl (learner=tqc)",
+        "fbrl (learner=crossq, momentum=0.9)",
+        "fbrl (learner=crossq, momentum=0.5)",
+        "naive (learner=sac)",
     ]
 
 
