@@ -100,14 +100,14 @@ def preset_learner(method: type[Method], learner: type[Learner]) -> Learner:
 
 
 def method_for(env: Env, name: str, **options) -> Method:
-    """Return `make_algo(name, **options)` with the reward scale of `env`, unless options or a learner object set it.
+    """Return `make_algo(name, **options)` with the reward scale of `env`, unless options, the method or a learner set it.
 
     Raises:
         ValueError: as in `make_algo`, or `env` is a name instead of a task.
     """
     require_object("task", env, Env, or_name=False)
     learner = options.get("learner")
-    if not isinstance(learner, Learner) or has_default_scale(learner):
+    if has_default_scale(learner if isinstance(learner, Learner) else ALGOS.get(name).learner):
         options.setdefault("reward_scale", env.reward_scale)
     return make_algo(name, **options)
 

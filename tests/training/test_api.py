@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import earl_jax
-from earl_jax import SAC, Continuing, Method
+from earl_jax import SAC, Continuing, Learner, Method
 from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
@@ -116,6 +116,17 @@ def test_options_are_split_into_task_setting_and_method():
 def test_an_unknown_misplaced_or_invalid_argument_is_refused_with_the_fix(options, message, no_training):
     with pytest.raises(InputError, match=message):
         train(**{"env": "tabletop_organization", "algo": "fbrl", **options})
+
+
+def test_a_method_keeps_a_reward_scale_of_its_own_learner(registries):
+    class Own(Naive):
+        learner: Learner = SAC(reward_scale=2.0)
+        name = "own"
+
+    earl_jax.register_algo("own", Own)
+    task = TabletopOrganization()
+    assert [earl_jax.method_for(task, name).learner.reward_scale for name in ("own", "naive")] == [2.0, 10.0]
+    assert earl_jax.method_for(task, "own", learner="td3").learner.reward_scale == 2.0
 
 
 @pytest.mark.usefixtures("no_training")
