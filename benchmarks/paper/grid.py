@@ -55,8 +55,8 @@ def summary(rows: Sequence[Row]) -> str:
         f"Of the {len(rows)} cells of the paper's table 1, {len(whole)} have run for {100 * WHOLE:.0f} % of its steps or more.",
         f"In {len(open_ones)} of these we detect no difference from the paper (p = "
         f"{min(row['p_holm'] for row in open_ones):.2g} or more, adjusted over the methods of a task). Where "
-        f"seeds differ, they would detect only differences of {_listed(_detectable(open_ones))}, depending on the cell. With the adjustment "
-        "they would detect only larger ones.",
+        f"seeds differ, they would detect only differences of {_listed(_detectable(open_ones))}, depending on the cell. "
+        "With the adjustment they would detect only larger ones.",
         f"Of the others, {_listed(differing)}." if told else "No other differs.",
         f"The other cells have run for {100 * min(shares):.0f} to {100 * max(shares):.0f} % of their steps.",
     )

@@ -60,7 +60,11 @@ def later_demonstrated(goals: Goals, row: jax.Array, draw: jax.Array) -> jax.Arr
 
 
 def rescored(env: Env, batch: TransitionBatch, goal: jax.Array, changed: jax.Array) -> TransitionBatch:
-    """Return `batch [B]` with rewards and successes recomputed under `goal [B, g]` where `changed [B]` is true."""
+    """Return `batch [B]` with rewards and successes recomputed under `goal [B, g]` where `changed [B]` is true.
+
+    The batch keeps its goals; the caller sets new ones. Rewards are `env.reward(obs)`, which differs from those that a
+    task stores if it overrides `Env.goal_reward`, as the peg with dense rewards does.
+    """
     obs = jnp.concatenate([batch.next_state, goal], axis=-1)
     reached = jnp.where(changed, env.success(obs) & env.sparse, batch.flags.reached)
     reward = jnp.where(changed, env.reward(obs), batch.reward)

@@ -100,7 +100,7 @@ class Registry:
         if points:
             return points[0], owners[0]
         if target is None:
-            own = "your own: --import FILE, see docs/extending.md"
+            own = f"your own: --import FILE or earl_jax.register_{self.kind}, see docs/extending.md"
             raise InputError(f"unknown {self.noun} {brief(name)}; {choices(name, self.names())} ({own})")
         return metadata.EntryPoint(name, target, self.kind) if isinstance(target, str) else target, owners[0]
 

@@ -49,6 +49,7 @@ class Transition(NamedTuple):
 class TransitionBatch(NamedTuple):
     """Sampled transitions: `row [N, B]`, `state, next_state [N, B, s]`, `action [N, B, a]`, `reward`, `flags`.
 
+    The functions of a method receive those of one lane, without the axis N.
     `demonstrated [N, B]`, bool, marks demonstrations. `later [N, B, s]` are states of the same lane some steps later,
     for methods with `later_steps`. A method that learns from other goals than the table's puts them into `goal [N, B,
     g]`, which replaces the indices `flags.goal`.
