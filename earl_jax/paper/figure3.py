@@ -41,7 +41,11 @@ MEASURES = ("distance", "corners", "near_goal", *visitation.MEASURES)
 UNEQUAL = "not tested: the runs end at different steps"
 """The verdict where they do: a run has the map of its end alone."""
 WORDS = {"above": "as published", "below": "opposite to published"}
-PLACES = "#D55E00"
+STARTS, GOALS = (
+    {"marker": marker, "linestyle": "", "markersize": 5, "markerfacecolor": "none", "color": "#D55E00"}
+    for marker in "ox"
+)
+"""The styles of places on the maps."""
 PAIR = ("oracle", "fbrl")
 """The methods of the difference in the picture: the first one's share minus the second one's."""
 THRESHOLD = 0.5
@@ -185,8 +189,8 @@ def _draw(maps: Sequence[VisitMap]) -> Any:
             larger = difference(*(own[algo] for algo in PAIR))
             _draw_map(line[-1], task_map, larger, " minus ".join(map(style.method_title, PAIR)), **signs)
         figure.colorbar(ScalarMappable(norm, "viridis"), ax=line.tolist(), label="Share of visits in a bin")
-    patches = {f"More visits of {style.method_title(algo)}": Patch(color=style.COLOURS[algo]) for algo in PAIR}
-    style.legend_below(figure, patches, 2, loc="outside lower right")
+    entries = {f"More visits of {style.method_title(algo)}": Patch(color=style.COLOURS[algo]) for algo in PAIR}
+    style.legend_below(figure, {"Starts": STARTS, "Goals": GOALS, **entries}, 4, loc="outside lower right")
     return figure
 
 
@@ -215,9 +219,9 @@ def _draw_map(axis: Any, task_map: Map, values: np.ndarray, title: str, **look: 
     axis.set(title=title, xlabel=x, ylabel=y, xlim=(x_low, x_high), ylim=(y_low, y_high))
     if task_map.starts is not None:
         few = task_map.starts if len(task_map.starts) < 10 else task_map.starts.mean(axis=0, keepdims=True)
-        axis.plot(*few.T, "o", markersize=5, markerfacecolor="none", markeredgecolor=PLACES)
+        axis.plot(*few.T, **STARTS)
     if task_map.goals is not None:
-        axis.plot(*task_map.goals.T, "x", markersize=5, markeredgecolor=PLACES)
+        axis.plot(*task_map.goals.T, **GOALS)
 
 
 FIGURE3 = Artefact("figure3", TASKS, runs_of(*METHODS), report)
