@@ -21,9 +21,9 @@ from earl_jax.runs import contents
 from earl_jax.runs.checkpoint import newest, saved_steps, try_out
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import CHECKPOINTS, CONFIG, METRICS, POLICIES
-from earl_jax.runs.files import append, check_folder, locked, read_bytes, write_atomically
+from earl_jax.runs.files import append, check_folder, locked, read_bytes, warn, write_atomically
 from earl_jax.runs.hosts import first_host
-from earl_jax.runs.provenance import provenance
+from earl_jax.runs.provenance import changed_versions, provenance
 from earl_jax.runs.table import COLUMNS, Table, columns_of, csv_text, whole_lines
 
 FORMAT = 3
@@ -87,7 +87,10 @@ class RunFolder:
         """
         _require_free(path, overwrite)  # before its lock is written
         text = _config_text(config, engine, logs)
-        path.mkdir(parents=True, exist_ok=True)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OSError(f"{path} can't be created: {error.strerror}; choose another folder") from error
         folder = cls(path, config, tuple(logs))
         with folder._locked():
             _require_free(path, overwrite)
@@ -236,8 +239,8 @@ def _require_free(path: Path, overwrite: bool) -> None:
     in_the_way = contents.has_results(path) and not overwrite
     if in_the_way and contents.is_run(path):
         raise InputError(
-            f"{path} holds another run; choose another folder, continue it with: {resume_command(path)}, "
-            "or replace it with --overwrite (in Python, overwrite=True)"
+            f"{path} holds another run; choose another folder, read it with earl_jax.load({str(path)!r}), continue it with: "
+            f"{resume_command(path)}, or replace it with --overwrite (in Python, overwrite=True)"
         )
     unknown = contents.unknown_entries(path)
     if unknown or in_the_way:
@@ -269,8 +272,14 @@ def read_config(file: Path) -> tuple[RunConfig, tuple[str, ...]]:
 
 
 def require_same_settings(file: Path) -> None:
-    """Raise a ValueError if a setting of jax that changes numbers is not that of the run of `file`, a valid config.json."""
-    require_settings(json.loads(read_bytes(file, LARGEST_CONFIG)).get("jax", {}), str(file))
+    """Raise a ValueError if a setting of jax that changes numbers is not that of the run of `file`, a valid config.json.
+
+    A `RunWarning` names the packages with other versions, which can change them too.
+    """
+    recorded = json.loads(read_bytes(file, LARGEST_CONFIG))
+    require_settings(recorded.get("jax", {}), str(file))
+    if changed := changed_versions(recorded.get("provenance")):
+        warn(f"the run began with {changed}, so its numbers can differ from here on")
 
 
 def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:

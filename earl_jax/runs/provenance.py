@@ -16,28 +16,40 @@ import jax
 CHANGED = "-dirty"
 """The end of a commit or of a release whose files were changed, as `git describe --dirty` writes it."""
 PACKAGES = ("earl-jax", "jax", "jaxlib", "flax", "optax", "brax", "mujoco", "mujoco-mjx", "numpy")
+NUMERIC = ("jax", "jaxlib", "flax", "optax", "mujoco", "mujoco-mjx")
+"""Those of `PACKAGES` that compute the numbers of a run."""
 
 
 def provenance() -> dict[str, Any]:
     """Return the time (UTC), versions, platform, and `checkout_commit` or `installed_release` of a new run."""
-    package, versions = Path(__file__).resolve().parents[1], {}
+    package = Path(__file__).resolve().parents[1]
     commit, release = checkout_commit(package), None
     if commit is None:
         release, commit = installed_release(package)
-    for package in PACKAGES:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = None
     return {
         "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "versions": versions,
+        "versions": {package: _version(package) for package in PACKAGES},
         "python": platform.python_version(),
         "backend": jax.default_backend(),
         "device": jax.devices()[0].device_kind,
         "commit": commit,
         "release": release,
     }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def changed_versions(recorded: Any) -> str:
+    """Return in words which packages of `NUMERIC` have another version here than in a recorded provenance."""
+    then = recorded.get("versions") if isinstance(recorded, dict) else None
+    then = then if isinstance(then, dict) else {}
+    now = {name: _version(name) for name in NUMERIC if name in then}
+    return ", ".join(f"{name} {then[name]} (here {here})" for name, here in now.items() if then[name] != here)
 
 
 def checkout_commit(package: Path) -> str | None:

@@ -204,7 +204,7 @@ def require_checkpoint(folder: RunFolder, step: int) -> None:
         state = "is finished" if step == config.steps else f"has reached step {step:,}"
         name = shlex.quote(str(path))
         raise InputError(
-            f"{path} {state} ({config.steps:,} steps) and its checkpoints are gone; earl_jax.load({str(path)!r}) or "
+            f"{path} {state} ({config.steps:,} steps) and has no checkpoint; earl_jax.load({str(path)!r}) or "
             f"earl-jax show {name} reads it; to train it again: earl-jax train --config {name} --out NEW"
         )
 

@@ -5,6 +5,7 @@ import functools
 import math
 import os
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from earl_jax.algos.method import controller_count
 from earl_jax.errors import InputError
 from earl_jax.options.environment import FRACTION, PER_DEVICE
 from earl_jax.options.values import counted
+from earl_jax.runs.files import warn
 from earl_jax.training.init import empty_replay, init_train_state
 from earl_jax.training.state import Problem, TrainState
 
@@ -132,6 +134,14 @@ def _counted(file: str, name: str) -> int:
     """Return the bytes in the line `name` of the system's `file`, which counts in kB; 0 without such a line."""
     found = re.search(rf"^{name}:\s+([0-9]+) kB", (PROC / file).read_text(), re.MULTILINE)
     return 1024 * int(found[1]) if found else 0
+
+
+def warn_of_disk(needed: MemoryEstimate, folder: Path) -> None:
+    """Warn if the disk of `folder` has less space than the last checkpoint of a program can need."""
+    size, free = needed.lanes * (needed.replay + needed.agent), shutil.disk_usage(folder).free
+    if size > free:
+        sizes = f"{size / GIGABYTE:.3g} GB, and the disk has {free / GIGABYTE:.3g} GB"
+        warn(f"the last checkpoint in {folder} can need {sizes}; without it, the run cannot be continued")
 
 
 def require(needed: MemoryEstimate, mesh: Mesh | None = None) -> None:

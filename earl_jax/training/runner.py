@@ -25,6 +25,7 @@ from earl_jax.runs.logging import Log, OptionalLog, open_logs
 from earl_jax.runs.policies import save_policies
 from earl_jax.runs.progress import Progress
 from earl_jax.runs.table import Table
+from earl_jax.training import memory
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import check_lanes, init_train_state
@@ -165,6 +166,9 @@ class Program:
             state = self._restored(init)
             bar = stack.enter_context(self._progress(progress))
             bar.message(str(plan.memory))
+            for run in self._runs[:1]:
+                if run.folder and first_host():
+                    memory.warn_of_disk(plan.memory, run.folder.path)
             if plan.engine != "kinematic":
                 auto = f", which auto takes for {counted(plan.lanes, 'lane')} on this {jax.default_backend()} machine"
                 is_auto = chosen_engine(self._runs[0].env) == "auto"

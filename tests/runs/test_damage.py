@@ -92,9 +92,9 @@ def test_a_run_whose_checkpoints_were_removed_is_not_trained_again(finished):
     for options in ({}, {"steps": 240}):
         with unchanged(finished):
             message = message_of(lambda options=options: resume(finished, **options))
-        assert f"is finished (120 steps) and its checkpoints are gone; {ways}" in message
+        assert f"is finished (120 steps) and has no checkpoint; {ways}" in message
     RunFolder.open(finished).record(steps=240)
-    assert "has reached step 120 (240 steps) and its checkpoints are gone" in message_of(lambda: resume(finished))
+    assert "has reached step 120 (240 steps) and has no checkpoint" in message_of(lambda: resume(finished))
 
 
 @pytest.mark.parametrize(("lines", "step"), [(5, 80), (2, 0)], ids=["whole", "damaged"])
@@ -106,7 +106,7 @@ def test_a_copy_of_config_and_metrics_is_not_trained_again(finished, lines, step
     (finished / "metrics.csv").write_text("".join(kept))
     with unchanged(finished):
         message = message_of(lambda: resume(finished))
-    assert f"has reached step {step} (120 steps) and its checkpoints are gone" in message
+    assert f"has reached step {step} (120 steps) and has no checkpoint" in message
 
 
 def test_a_run_that_ended_before_its_first_checkpoint_is_trained_again_with_a_warning(finished):

@@ -160,7 +160,7 @@ def test_a_folder_without_results_is_used_by_the_next_run(folder, state, capsys)
 @pytest.mark.parametrize("state", RESULTS)
 def test_a_folder_with_results_is_replaced_only_on_request(folder, state, capsys):
     RESULTS[state](folder)
-    ways = f"choose another folder, continue it with: earl-jax resume '{folder.path}', .* --overwrite"
+    ways = f"choose another folder, read it with .*, continue it with: earl-jax resume '{folder.path}', .* --overwrite"
     refusal = f"holds another run; {ways} .in Python, overwrite=True.$"
     with unchanged(folder.path), pytest.raises(ValueError, match=refusal):
         create(folder)

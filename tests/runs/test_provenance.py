@@ -5,7 +5,14 @@ import subprocess
 
 import pytest
 
-from earl_jax.runs.provenance import checkout_commit, installed_release, made_by, short_commit
+from earl_jax.runs.provenance import (
+    changed_versions,
+    checkout_commit,
+    installed_release,
+    made_by,
+    provenance,
+    short_commit,
+)
 from tests.conftest import write_files
 
 
@@ -27,6 +34,15 @@ def package(tmp_path):
     git(tmp_path, "add", ".")
     git(tmp_path, "commit", "-qm", "first")
     return tmp_path / "package"
+
+
+def test_packages_with_other_versions_than_recorded_are_named():
+    recorded = provenance()
+    assert changed_versions(recorded) == ""
+    here = recorded["versions"]["jax"]
+    old = recorded | {"versions": recorded["versions"] | {"jax": "0.4.1", "numpy": "1.0"}}
+    assert changed_versions(old) == f"jax 0.4.1 (here {here})"
+    assert changed_versions(None) == changed_versions({"versions": []}) == changed_versions({"versions": {}}) == ""
 
 
 def test_changes_outside_package_and_assets_do_not_mark_a_commit(package):

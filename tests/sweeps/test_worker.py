@@ -198,13 +198,13 @@ def test_runs_of_a_grid_with_more_steps_go_on_from_their_last_checkpoint(tmp_pat
     assert_equal_runs(out, separate_folders)
     shutil.rmtree(out / NAMES[1] / "checkpoints")
     grid.write_text(GRID.replace("steps = 120", "steps = 240"))
-    with pytest.raises(ValueError, match=rf"{NAMES[1]} is finished \(120 steps\) and its checkpoints are gone"):
+    with pytest.raises(ValueError, match=rf"{NAMES[1]} is finished \(120 steps\) and has no checkpoint"):
         worker.plan(grid, out)
     (out / NAMES[1] / "policies.npz").unlink()
     whole = (out / NAMES[1] / "metrics.csv").read_text().splitlines(keepends=True)
     (out / NAMES[1] / "metrics.csv").write_text("".join(whole[:5]))
     grid.write_text(GRID)
-    with pytest.raises(ValueError, match=rf"{NAMES[1]} has reached step 80 \(120 steps\) and its checkpoints are gone"):
+    with pytest.raises(ValueError, match=rf"{NAMES[1]} has reached step 80 \(120 steps\) and has no checkpoint"):
         worker.plan(grid, out)
 
 

@@ -1,6 +1,7 @@
 """The memory of a run: computed, printed, and refused before anything is written."""
 
 import dataclasses
+import warnings
 from unittest.mock import Mock
 
 import jax
@@ -9,8 +10,9 @@ import pytest
 import earl_jax
 from earl_jax.algos import make_algo
 from earl_jax.envs import make
+from earl_jax.runs.files import RunWarning
 from earl_jax.training import memory
-from tests.conftest import make_problem, make_train_state, tiny_method, write_files
+from tests.conftest import make_problem, make_train_state, tiny_method, tiny_train, write_files
 
 CARD_BYTES = 141e9
 
@@ -48,6 +50,19 @@ def test_a_run_that_does_not_fit_is_refused_with_the_lanes_that_would_and_writes
     memory.require(dataclasses.replace(need, lanes=3))
     assert str(need).startswith("1 lane takes ")
     assert str(need).endswith(" of work")
+
+
+def test_a_disk_that_is_too_small_for_the_last_checkpoint_is_named(monkeypatch, tmp_path, problem):
+    need = memory.estimate(problem, make_algo("naive"), 2, 80)
+    monkeypatch.setattr(memory.shutil, "disk_usage", Mock(return_value=Mock(free=2 * (need.replay + need.agent))))
+    with warnings.catch_warnings(action="error"):
+        memory.warn_of_disk(need, tmp_path)
+    memory.shutil.disk_usage.return_value.free -= 1
+    with pytest.warns(RunWarning, match="without it, the run cannot be continued"):
+        memory.warn_of_disk(need, tmp_path)
+    memory.shutil.disk_usage.return_value.free = 0
+    with pytest.warns(RunWarning, match=f"the last checkpoint in {tmp_path / 'run'} can need"):
+        tiny_train("naive", out=tmp_path / "run")
 
 
 def test_a_program_among_neighbours_is_refused_by_its_share_with_fewer_neighbours_as_the_remedy(monkeypatch):

@@ -88,6 +88,15 @@ def test_arguments_of_another_kind_and_objects_of_other_options_are_refused_and_
         earl_jax.resume(folder, **{"env": Meadow(), "algo": make_patient(), "steps": 160, **options})
 
 
+@pytest.mark.usefixtures("no_training")
+def test_a_run_that_began_with_another_version_of_jax_says_so(folder):
+    recorded = RunFolder.open(folder).recorded()["provenance"]
+    RunFolder.open(folder).record(provenance=recorded | {"versions": recorded["versions"] | {"jax": "0.4.1"}})
+    warned = pytest.warns(RunWarning, match=r"began with jax 0.4.1 \(here .*\), so its numbers can differ")
+    with warned, pytest.raises(AssertionError, match="training started"):
+        earl_jax.resume(folder, env=Meadow(), algo=make_patient())
+
+
 def test_a_run_can_become_so_short_that_its_replay_evicts_nothing(tmp_path):
     tiny_train("naive", out=tmp_path / "run", steps=200, replay_capacity=150, minutes=1e-9)
     shorter = earl_jax.resume(tmp_path / "run", steps=120)
