@@ -20,6 +20,7 @@ _NAMES = {
     "training": "Policy Problem Result evaluate lifetime list_pretrained load pretrained pretrained_info resume"
     " select_seed train",
 }
+_PACKAGES = ["adapters", "algos", "assets", "envs", "metrics", "protocol", "report", "training"]
 _MODULES = {name: f"{__name__}.{module}" for module, names in _NAMES.items() for name in names.split()}
 
 if TYPE_CHECKING:
@@ -71,8 +72,10 @@ else:
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return getattr(importlib.import_module(_MODULES[name]), name)
+    if name in _PACKAGES:
+        return importlib.import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES})
+    return sorted({*globals(), *_MODULES, *_PACKAGES})

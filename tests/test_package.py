@@ -19,7 +19,7 @@ USE = """
 import sys, earl_jax
 loaded = lambda *names: [name for name in names if name in sys.modules]
 assert loaded("brax", "gymnasium", "matplotlib", "mujoco", "orbax", "flax", "jax") == []
-env = earl_jax.make("tabletop_organization")
+env = earl_jax.envs.make("tabletop_organization")
 assert loaded("brax", "gymnasium", "matplotlib", "mujoco") == []
 from earl_jax import assets
 print(earl_jax.__file__, assets.root(), len(assets.demos(env.name, "forward").ends), earl_jax.list_algos())
