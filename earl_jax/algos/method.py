@@ -124,7 +124,8 @@ class Method(OptionsNode):
             return agent
         if demos is None:
             raise InputError(
-                f"{self.name} needs demonstrations to clone, and {env.name} has none; use pretrain_steps=0"
+                f"{self.name} needs demonstrations to clone, and {env.name} has none; take another task, or "
+                "pretrain_steps=0 to begin untrained"
             )
         actors, _ = clone(key, self.learner, agent.actor, demos)
         return jax.vmap(self.learner.with_actor)(agent, actors)
