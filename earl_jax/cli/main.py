@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
         except BrokenPipeError:  # the reader of the output has gone, as in `earl-jax list | head`
             raise SystemExit(1) from None
         except Exception as error:
-            cause = str(error) if is_input_error(error) else start_failure(error)
+            cause = _text(error) if is_input_error(error) else start_failure(error)
             if isinstance(getattr(sys, "last_value", None), KeyboardInterrupt):  # numpy printed it while jax was loaded
                 print("earl-jax: interrupted", file=sys.stderr)
                 raise SystemExit(130) from None
@@ -75,6 +75,13 @@ def main(arguments: list[str] | None = None) -> None:
                 cause = f"{cause[: LONGEST // 2]} ... {cause[-LONGEST // 2 :]}"
             print(f"earl-jax: {cause}", file=sys.stderr)
             raise SystemExit(2) from None
+
+
+def _text(error: Exception) -> str:
+    """Return what `error` says; an error of the system without its number."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
 
 
 @contextlib.contextmanager

@@ -202,9 +202,9 @@ def spacing(steps: np.ndarray) -> int:
 def labels(runs: Sequence[Curves]) -> list[str]:
     """Return a label for each of `runs`: its method, with the options in which runs on the same task differ.
 
-    The runs of one method are told apart by all options, those of other methods by the learner and by options of task and
-    setting, without `SAME_TASK`. A run with the default of such an option is labelled with it, or with `default` where its class
-    is not known here.
+    The runs of one method are told apart by all options, those of other methods by the learner and by options of task
+    and setting, without `SAME_TASK`. A run with the default of such an option is labelled with it, or with `default`
+    where its class is not known here.
     """
     tasks = grouped(runs, lambda curves: curves.env)
     on_task = {env: _differing(members, list(map(_shared_options, members))) for env, members in tasks.items()}

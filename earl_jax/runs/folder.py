@@ -279,7 +279,7 @@ def require_same_settings(file: Path) -> None:
     recorded = json.loads(read_bytes(file, LARGEST_CONFIG))
     require_settings(recorded.get("jax", {}), str(file))
     if changed := changed_versions(recorded.get("provenance")):
-        warn(f"the run began with {changed}, so its numbers can differ from here on")
+        warn(f"the run began with {changed}, which can change its numbers")
 
 
 def _config_text(config: RunConfig, engine: str, logs: Sequence[str]) -> str:

@@ -205,7 +205,7 @@ def select_seed(state: Any, i: int) -> Any:
         raise InputError(f"select_seed takes result.train_state or result.policies, not {brief(state)}")
     count = len(leaves[0])
     if not -count <= i < count:
-        raise IndexError(f"no lane {i}: there are {count}")
+        raise IndexError(f"no lane {i}: there are {count}, in the order of the seeds")
     return _lane(lanes, i)
 
 

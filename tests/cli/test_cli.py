@@ -181,3 +181,8 @@ def test_an_interrupt_while_the_package_or_numpy_is_loaded_is_one_line(monkeypat
 
 def test_version():
     assert run("--version") == (0, f"earl-jax {__version__}\n", "")
+
+
+def test_an_error_of_the_system_is_named_without_its_number(tmp_path):
+    code, _, err = run("import-demos", tmp_path / "nope.pkl")
+    assert (code, err) == (2, f"earl-jax: {tmp_path / 'nope.pkl'}: No such file or directory\n")

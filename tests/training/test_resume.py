@@ -92,7 +92,7 @@ def test_arguments_of_another_kind_and_objects_of_other_options_are_refused_and_
 def test_a_run_that_began_with_another_version_of_jax_says_so(folder):
     recorded = RunFolder.open(folder).recorded()["provenance"]
     RunFolder.open(folder).record(provenance=recorded | {"versions": recorded["versions"] | {"jax": "0.4.1"}})
-    warned = pytest.warns(RunWarning, match=r"began with jax 0.4.1 \(here .*\), so its numbers can differ")
+    warned = pytest.warns(RunWarning, match=r"began with jax 0.4.1 \(here .*\), which can change its numbers")
     with warned, pytest.raises(AssertionError, match="training started"):
         earl_jax.resume(folder, env=Meadow(), algo=make_patient())
 

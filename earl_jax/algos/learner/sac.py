@@ -211,7 +211,7 @@ class SAC(Learner):
             parameters = self.policy(actor, batch.obs)
             action, log_prob = networks.sample_tanh_normal(parameters, key)
             values = self.q_values(soft, batch.obs, action)
-            value = lesser(*values) if self.ensemble == SOFT_CRITICS else values.mean(axis=0)
+            value = _smaller(*values) if self.ensemble == SOFT_CRITICS else values.mean(axis=0)
             total = (temperature * log_prob - value).mean()
             if self.cloning is not None:
                 total += cloning_term(self, networks.mode(parameters), batch)
@@ -242,7 +242,7 @@ def _pair_min(values: jax.Array) -> jax.Array:
     return jnp.repeat(pairs, 2, axis=0)
 
 
-def lesser(first: jax.Array, second: jax.Array) -> jax.Array:
+def _smaller(first: jax.Array, second: jax.Array) -> jax.Array:
     """Return the smaller of two arrays.
 
     The gradient of `min` divides by the number of values that equal it. There are none, and the gradient is nan, if XLA
