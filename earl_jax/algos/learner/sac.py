@@ -211,7 +211,8 @@ class SAC(Learner):
             parameters = self.policy(actor, batch.obs)
             action, log_prob = networks.sample_tanh_normal(parameters, key)
             values = self.q_values(soft, batch.obs, action)
-            value = _smaller(*values) if self.ensemble == SOFT_CRITICS else values.mean(axis=0)
+            # not values.min(axis=0): its gradient is 0 / 0 where XLA computes the values twice with other rounding
+            value = jnp.minimum(*values) if self.ensemble == SOFT_CRITICS else values.mean(axis=0)
             total = (temperature * log_prob - value).mean()
             if self.cloning is not None:
                 total += cloning_term(self, networks.mode(parameters), batch)
@@ -240,12 +241,3 @@ def _pair_min(values: jax.Array) -> jax.Array:
     """Return each critic's clipped double-Q value: the minimum over its pair, [K, ...] -> [K, ...]."""
     pairs = values.reshape(-1, 2, *values.shape[1:]).min(axis=1)
     return jnp.repeat(pairs, 2, axis=0)
-
-
-def _smaller(first: jax.Array, second: jax.Array) -> jax.Array:
-    """Return the smaller of two arrays.
-
-    The gradient of `min` divides by the number of values that equal it. There are none, and the gradient is nan, if XLA
-    computes the values twice with other rounding, as on CPUs with JAX_DISABLE_MOST_OPTIMIZATIONS.
-    """
-    return jnp.where(first < second, first, second)
