@@ -166,9 +166,8 @@ class Program:
             state = self._restored(init)
             bar = stack.enter_context(self._progress(progress))
             bar.message(str(plan.memory))
-            for run in self._runs[:1]:
-                if run.folder and first_host():
-                    memory.warn_of_disk(plan.memory, run.folder.path)
+            if (folder := self._runs[0].folder) and first_host():
+                memory.warn_of_disk(plan.memory, folder.path)
             if plan.engine != "kinematic":
                 auto = f", which auto takes for {counted(plan.lanes, 'lane')} on this {jax.default_backend()} machine"
                 is_auto = chosen_engine(self._runs[0].env) == "auto"

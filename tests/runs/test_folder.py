@@ -4,6 +4,8 @@ import dataclasses
 import errno
 import json
 import os
+import sys
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -155,6 +157,13 @@ def test_a_folder_without_results_is_used_by_the_next_run(folder, state, capsys)
     assert not folder.metrics.exists()
     assert not folder.checkpoints.exists()
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc, in which nobody can create a folder")
+def test_a_folder_that_cannot_be_created_is_named_with_the_cause(folder):
+    path = Path("/proc/earl_jax/run")
+    with pytest.raises(OSError, match=f"^{path} can't be created: No such file or directory; choose another folder"):
+        RunFolder.create(path, folder.config, "kinematic")
 
 
 @pytest.mark.parametrize("state", RESULTS)
