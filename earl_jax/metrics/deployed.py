@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from earl_jax.envs import Env, State
+from earl_jax.envs.help_budget import without_help
 from earl_jax.envs.starts import STARTS, starts_of
 from earl_jax.envs.state import tree_where
 from earl_jax.errors import InputError
@@ -63,18 +64,20 @@ def deployed(
 ) -> dict[str, jax.Array]:
     """Return `deployed/success` and `deployed/return`, means over `episodes` fresh starts and task goals.
 
-    Starts are s0 ~ rho, the task's `uniform` or `wide` ones, or drawn by `start(key) -> State`. `pairs="balanced"` uses
-    every pair of initial state and task goal equally often (`balanced_starts`), so the mean does not depend on the luck
-    of the draw. Success at any step counts, as in the released evaluations, whose values are exact multiples of 0.1,
-    although the paper's text speaks of returns. With `wide(key) -> State`, `deployed/success_wide` is the success of as
-    many further episodes from these starts (our metric; docs/formalism.md says why). They are part of the same scan and
-    change no other episode.
+    Starts are s0 ~ rho, the task's `uniform` or `wide` ones, or drawn by `start(key) -> State`. `pairs="balanced"`
+    uses every pair of initial state and task goal equally often (`balanced_starts`), so the mean does not depend on
+    the luck of the draw. There is no help: in a `HelpBudget`, requests have no effect and nothing is charged. Success
+    at any step counts, as in the released evaluations, whose values are exact multiples of 0.1, although the paper's
+    text speaks of returns. With `wide(key) -> State`, `deployed/success_wide` is the success of as many further
+    episodes from these starts (our metric; docs/formalism.md says why). They are part of the same scan and change no
+    other episode.
 
     Raises:
         ValueError: `pairs` or `start` is unknown, the task has no such starts, `balanced` is combined with other starts
             than the initial ones, `episodes` or `horizon` is not a positive whole number, or `policy` computes outside
             jax.
     """
+    env = without_help(env)
     draw = starts_of(env, start, pairs)
     require("episodes", episodes, EPISODES)
     require("horizon", horizon, COUNT)

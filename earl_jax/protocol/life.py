@@ -14,7 +14,6 @@ from flax import struct
 
 from earl_jax.envs import Env, State
 from earl_jax.envs.checks import check_task
-from earl_jax.envs.help_budget import without_help
 from earl_jax.metrics.continuing import Counters, continuing, init_counters
 from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.jax_settings import package_types
@@ -217,7 +216,7 @@ def evaluate(
     the metrics of attempts have the names of columns of metrics.csv; attempts at goals that the agent set count as
     return phases.
     """
-    metrics = protocol.deployed(without_help(env), policy, state.key)
+    metrics = protocol.deployed(env, policy, state.key)
     step, window = jnp.maximum(state.step, 1), jnp.maximum(state.step - state.evaluated_at, 1)
     counters, of_life = continuing(state.counters, state.env_state, step, window)
     phases, of_phases = phase_metrics(counters.phases, state.step, protocol.alive_steps, DIRECTIONS, env.sparse)

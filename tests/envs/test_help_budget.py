@@ -8,7 +8,7 @@ import pytest
 from earl_jax.adapters._session import Session
 from earl_jax.envs import HelpBudget, chosen_engine, for_lanes, make, resolved_engine, without_budget
 from earl_jax.envs.help_budget import without_help
-from earl_jax.protocol import Deployment, Protocol
+from earl_jax.protocol import Deployment, Protocol, deployed
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import Problem
 from tests.conftest import assert_all_finite, assert_equal_trees, make_train_state, take_lane, tiny_method
@@ -224,6 +224,10 @@ def test_without_help_an_agent_falls_once_its_requests_move_like_other_actions_a
     assert states.obs[:, 1].tolist() == [1] * 5
     for unchanged in (states.done, states.info["asked"], states.info["enforced"]):
         assert not unchanged.any()
+    asking, quiet = (
+        deployed(helped, lambda obs, action=action: action, jax.random.key(0), 4, 2) for action in (HELP, RIGHT)
+    )
+    assert asking == quiet, "an evaluation of its own has no help either"
     env = without_help(HelpBudget(Chain(fragile=True), budget=2.0))
     assert env.fault(take_lane(run_actions(env, [LEFT]), 1))
 
