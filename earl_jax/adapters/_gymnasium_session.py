@@ -67,7 +67,9 @@ class GymnasiumSession:
             "success": np.array(outputs.success),
             "interventions": np.array(outputs.interventions, np.int64),
         }
-        if not self.session.is_training:
+        if self.session.is_training:
+            values["next_obs"] = np.array(outputs.next_obs)
+        else:
             values["is_success"] = np.array(outputs.reached)
         if self.session.starts == "wide":
             values["is_success_wide"] = np.array(outputs.reached)

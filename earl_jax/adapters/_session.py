@@ -6,7 +6,7 @@ A life consists of the functions of `earl_jax.protocol`: `init`, `advance`, `int
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -22,6 +22,7 @@ from earl_jax.errors import InputError, brief, require_known
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require
 from earl_jax.protocol import (
+    SETTINGS,
     Deployment,
     Protocol,
     ProtocolState,
@@ -38,13 +39,15 @@ from earl_jax.protocol.life import ATTEMPT_STEPS
 
 
 class Outputs(NamedTuple):
-    """What a step or a reset returns to another library: `obs [s + g]`, and scalars.
+    """What a step or a reset returns to another library: `obs` and `next_obs [s + g]`, and scalars.
 
+    `next_obs`: where the step led, under its own goal, whereas `obs` can come after an intervention and have a new goal.
     `success`: the step reached the goal that the agent pursued. `reached`: some step of this episode did. `terminated`:
     the life ended. `truncated`: the episode is over. `fault`: the simulation broke, and the reward is 0.
     """
 
     obs: Any
+    next_obs: Any
     reward: Any
     success: Any
     reached: Any
@@ -99,7 +102,7 @@ class Session:
         Raises:
             ValueError: a name or option is unknown, or options are given with an `Env`; the message lists the choices.
         """
-        env, setting = split_setting(_make_task(task, options), setting_of(setting))
+        env, setting = split_setting(_given_task(task, options), setting_of(setting))
         setting, env = with_explicit_horizon(setting, env, options), setting.wrap(for_lanes(env, lanes))
         return cls(env if mode == "train" else without_help(env), setting.protocol(env), mode, attempt_steps, starts)
 
@@ -131,7 +134,8 @@ class Session:
     def _outputs(self, state: ProtocolState, **of_step: jax.Array) -> Outputs:
         """Return the outputs of a step to `state` with the values `of_step`; without values, the outputs of a reset."""
         false = jnp.zeros((), bool)
-        values = {"reward": jnp.zeros((), jnp.float32), "success": false, "truncated": false, "fault": false, **of_step}
+        values = {"reward": jnp.zeros((), jnp.float32), "success": false, "truncated": false, "fault": false}
+        values |= {"next_obs": state.obs, **of_step}
         return Outputs(
             obs=state.obs,
             reached=state.counters.reached > 0,
@@ -145,7 +149,8 @@ class Session:
         if not self.is_training:
             return self._step_episode(state, action)
         state, result = advance(self.env, state, action)
-        return state, self._outputs(state, reward=result.reward, success=result.success, fault=result.end.fault)
+        of_step = {"reward": result.reward, "success": result.success, "fault": result.end.fault}
+        return state, self._outputs(state, next_obs=result.next_obs, **of_step)
 
     def _step_episode(self, state: ProtocolState, action: jax.Array) -> tuple[ProtocolState, Outputs]:
         env_state = self.env.step(state.env_state, action)
@@ -186,19 +191,26 @@ class Session:
         return state, self._outputs(state)
 
 
-def _make_task(task: str | Env, options: dict[str, Any]) -> Env:
-    if isinstance(task, Env):
-        if options:
-            raise InputError(
-                f"options {', '.join(options)} go with a task's name; for an Env object use dataclasses.replace"
-            )
-        return task
-    known = [field.name for field in dataclasses.fields(env_class(task))]
-    for option in options:
-        if option not in known:
-            choices = ", ".join(["mode", "setting", "attempt_steps", "starts", *known])
-            raise InputError(f"task {task!r} has no option {option!r}; choose from {choices}")
-    return make(task, **options)
+def _given_task(task: str | Env, options: dict[str, Any]) -> Env:
+    if not isinstance(task, Env):
+        return make_task(task, options, ("mode", "setting", "attempt_steps", "starts"))
+    if options:
+        raise InputError(
+            f"options {', '.join(options)} go with a task's name; for an Env object use dataclasses.replace"
+        )
+    return task
+
+
+def make_task(name: str, options: dict[str, Any], others: Sequence[str]) -> Env:
+    """Return the task `name` with its `options`; an InputError of an unknown one lists them and the `others` of the adapter."""
+    known = [field.name for field in dataclasses.fields(env_class(name))]
+    for option in (option for option in options if option not in known):
+        for setting in SETTINGS.values() if "setting" in others else ():
+            if option in {field.name for field in dataclasses.fields(setting)}:
+                text = f"setting=earl_jax.{setting.__name__}({option}=...)"
+                raise InputError(f"{option!r} is an option of the setting, not of task {name!r}: pass {text}")
+        raise InputError(f"task {name!r} has no option {option!r}; choose from {', '.join([*others, *known])}")
+    return make(name, **options)
 
 
 @functools.cache

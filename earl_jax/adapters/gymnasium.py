@@ -43,9 +43,11 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
     caller chooses the goals. Episodes start from s0 ~ rho with one goal each and are truncated after H_E steps, or if
     the simulation breaks.
 
-    `info` contains the current `goal [g]`; `success`: whether the step reached the goal that the agent pursued; the
-    number of `interventions` so far; and in episodes `is_success`: whether any step so far was a success. With
-    `starts="wide"`, `is_success_wide` repeats `is_success`, so that a log can tell both kinds of episodes apart.
+    `info` contains the current `goal [g]`; `success`: whether the step reached the goal that the agent pursued; and the
+    number of `interventions` so far. In a life it has `next_obs`: where the step led, under its own goal. Bootstrap from
+    it, since the returned observation can follow an intervention or have a new goal. In episodes it has `is_success`:
+    whether any step so far was a success. With `starts="wide"`, `is_success_wide` repeats `is_success`, so that a log can
+    tell both kinds of episodes apart.
     """
 
     def __init__(
@@ -94,7 +96,7 @@ class ResetFreeEnv(GymnasiumSession, gymnasium.Env):
     def _returned(self, outputs: Outputs) -> tuple[np.ndarray, float, bool, bool, dict]:
         outputs = jax.device_get(outputs)
         values = self._infos(outputs)
-        info = {name: value if name == "goal" else value.item() for name, value in values.items()}
+        info = {name: value if value.ndim else value.item() for name, value in values.items()}
         return np.array(outputs.obs), float(outputs.reward), bool(outputs.terminated), bool(outputs.truncated), info
 
     def set_goal(self, goal: np.ndarray | None = None) -> np.ndarray:

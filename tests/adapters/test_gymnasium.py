@@ -88,14 +88,18 @@ def test_a_lifetime_never_ends_and_has_interventions_on_schedule_and_at_resets_w
     env = ResetFreeEnv(TABLETOP, **LIFETIME)
     obs, info = env.reset(seed=3)
     assert info["interventions"] == 0
-    home = obs[:6]
+    home, pursued = np.split(obs, [6])
     for step in range(1, 16):
         obs, _, terminated, truncated, info = env.step(env.action_space.sample())
         assert (terminated, truncated) == (False, False)
         assert info["interventions"] == step // 7
         assert np.array_equal(obs[:6], home) == (step % 7 == 0)
         np.testing.assert_array_equal(info["goal"], obs[6:])
-        assert set(info) == {"goal", "success", "interventions"}
+        assert set(info) == {"goal", "success", "interventions", "next_obs"}
+        led, goal = np.split(info["next_obs"], [6])
+        np.testing.assert_array_equal(goal, pursued)
+        assert np.array_equal(led, obs[:6]) == (step % 7 != 0), "an intervention moves the agent after the step"
+        pursued = obs[6:]
     assert env.reset()[1]["interventions"] == 3
     assert env.state.step == 15
     assert env.reset(seed=3)[1]["interventions"] == 0
@@ -190,6 +194,8 @@ def test_a_fault_truncates_an_episode_and_resets_a_lifetime():
     ("options", "message"),
     [
         ({"mood": "eval"}, r"no option 'mood'; choose from mode, .*reward_type"),
+        ({"goal_change": 9}, r"of the setting, not of task .*: pass setting=earl_jax.Continuing\(goal_change="),
+        ({"budget": 9.0}, r"pass setting=earl_jax.Deployment\(budget=\.\.\.\)"),
         *[({"lanes": 3, **more}, "no option 'lanes'") for more in ({}, {"num_envs": 2})],
         ({"mode": "test"}, "unknown mode 'test'; choose from train, eval"),
         ({"attempt_steps": 0}, "attempt_steps must lie in"),

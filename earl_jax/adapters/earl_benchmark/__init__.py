@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from earl_jax.adapters._session import make_task
 from earl_jax.adapters.earl_benchmark.task_env import TaskEnv
 from earl_jax.adapters.earl_benchmark.wrappers import Wrapper
 from earl_jax.adapters.earl_benchmark.wrappers.lifelong_wrapper import LifelongWrapper
 from earl_jax.adapters.earl_benchmark.wrappers.persistent_state_wrapper import PersistentStateWrapper
-from earl_jax.envs import make
 from earl_jax.errors import InputError
 from earl_jax.options.values import COUNT, require
 from earl_jax.protocol import Continuing, with_explicit_horizon
@@ -24,6 +24,11 @@ ORIGINAL_NAMES = {
     "minitaur": "minitaur_pen",
 }
 """Original names of tasks that are called otherwise in `earl_jax`; both names work."""
+OWN_OPTIONS = (
+    *("reset_train_env_at_goal", "setup_as_lifelong_learning", "num_initial_state_samples"),
+    *("goal_change_frequency", "wide_init_distr", "kitchen_task"),
+)
+"""The options of `EARLEnvs` that its tasks do not have."""
 Demonstrations = dict[str, np.ndarray]
 
 
@@ -75,7 +80,7 @@ class EARLEnvs:
             options["wide"] = True
         if reward_type is not None:
             options["reward_type"] = reward_type
-        self._task = self._train_task = make(name, **options)
+        self._task = self._train_task = make_task(name, options, OWN_OPTIONS)
         self._lifelong = with_explicit_horizon(continuing, self._task, options)
         if reset_train_env_at_goal:
             if not hasattr(self._task, "reset_at_goal"):
