@@ -21,8 +21,8 @@ from earl_jax.runs.files import require_suffix, warn
 
 RELEASED = {"color": "0.55"}
 """The style of the released runs of the paper."""
-CYCLE = (*(f"C{number}" for number in range(7)), "black", "C8", "C9")
-"""Colours of lines: matplotlib's cycle without its grey, which looks like that of the released runs."""
+MOST_NAMED = 40
+"""Most lines that a legend tells apart."""
 LETTER = 0.58 / 72
 """Width of a letter in inches per point of its size."""
 POINTS = 2000
@@ -47,17 +47,11 @@ SIZES = {"screen": Size(10, 4.2, 10, 2), "column": Size(3.35, 2.3, 8, 1), "page"
 
 
 class Line(NamedTuple):
-    """A run to draw: its curves, the name of its line, and the number that gives its colour and dashes."""
+    """A run to draw: its curves, and the name and the style of its line."""
 
     curves: Curves
     name: str
-    number: int
-
-    @property
-    def style(self) -> dict[str, Any]:
-        """The colour, and dashes for those beyond ten colours."""
-        dashes, colour = divmod(self.number, len(CYCLE))
-        return {"color": CYCLE[colour], "linestyle": style.LINE_STYLES[dashes % len(style.LINE_STYLES)]}
+    style: dict[str, Any]
 
 
 def caption(smooth: int = 1, published: bool = False) -> str:
@@ -127,20 +121,24 @@ def plot_runs(
 
 
 def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
-    """Return the lines of `runs`; lines of different tasks that have the same name have the same colour."""
+    """Return the lines of `runs`; lines of different tasks that have the same name have the same style."""
     given = labels(runs)
+    styles = style.line_styles(zip((curves.algo for curves in runs), given, strict=True))
     distinct = list(dict.fromkeys(given))
     titles = map(style.plain, checked_labels(names, distinct)) if names else map(style.method_title, distinct)
     renamed = dict(zip(distinct, titles, strict=True))
-    return [Line(curves, renamed[name], distinct.index(name)) for curves, name in zip(runs, given, strict=True)]
+    looks = {
+        name: {"color": colour, "linestyle": style.LINE_STYLES[dashes]} for name, (colour, dashes) in styles.items()
+    }
+    return [Line(curves, renamed[name], looks[name]) for curves, name in zip(runs, given, strict=True)]
 
 
 def _panels(lines: Sequence[Line], metric: str | None) -> list[tuple[str, str]]:
     """Return the metrics of the panels of `lines` and their headings: `metric`, or by default the two scores."""
     if metric is not None:
         return [(metric, "")]
-    deployed = lines[0].curves.deployed_metric
-    return [(deployed, "Deployed, from s0"), (CONTINUING, "Continuing, over the lifetime")]
+    panels = [(lines[0].curves.deployed_metric, "Deployed, from s0"), (CONTINUING, "Continuing, over the lifetime")]
+    return [panel for panel in panels if any(np.isfinite(line.curves.metrics[panel[0]]).any() for line in lines)]
 
 
 def _draw_panel(axis: Any, lines: Sequence[Line], metric: str, smooth: int, published: bool) -> bool:
@@ -174,15 +172,14 @@ def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, look: dict[
 def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool) -> None:
     """Name the lines below the panels in as many lines of text as needed, with their seeds where all tasks have as many.
 
-    Where styles repeat there is no legend, and a `RunWarning` says so.
+    With more than `MOST_NAMED` lines there is no legend, and a `RunWarning` says so.
     """
-    styles = len(CYCLE) * len(style.LINE_STYLES)
-    if max(line.number for line in lines) >= styles:
-        warn(f"a picture of more than {styles} lines has no legend, because their styles repeat")
+    if len({line.name for line in lines}) > MOST_NAMED:
+        warn(f"a picture of more than {MOST_NAMED} lines has no legend, because their colours are too similar")
         return
     entries: dict[str, dict[str, Any]] = {}
     for line in lines:
-        counts = {other.curves.seeds for other in lines if other.number == line.number}
+        counts = {other.curves.seeds for other in lines if other.name == line.name}
         seeds = f", {counted(line.curves.seeds, 'seed')}" if len(counts) == 1 else ""
         entries.setdefault(line.name + seeds, line.style)
     entries |= {"Published, five seeds": RELEASED} if released else {}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 from earl_jax.metrics.phase_stats import ALIVE, FORWARD
 from earl_jax.report import plots
@@ -53,7 +54,7 @@ def test_a_sweep_has_panels_for_each_task_and_one_colour_for_a_method(sweep, dra
     deployed, continuing = figure.axes[:2]
     np.testing.assert_allclose(deployed.lines[0].get_ydata(), [0, 0.45, 0.9])
     np.testing.assert_allclose(continuing.lines[1].get_ydata(), [0, 0.005, 0.01])
-    assert {axis.lines[0].get_color() for axis in figure.axes} == {"C0"}
+    assert {axis.lines[0].get_color() for axis in figure.axes} == {COLOURS["fbrl"]}
 
 
 def test_a_metric_smoothing_and_labels(sweep, drawn):
@@ -70,13 +71,31 @@ def test_a_metric_smoothing_and_labels(sweep, drawn):
     assert axis.lines[0].get_marker() == "o", "evaluations without neighbours are drawn as dots"
 
 
-def test_lines_whose_styles_repeat_have_no_legend(sweep, drawn, monkeypatch):
-    monkeypatch.setattr(plots.style, "LINE_STYLES", ["-"])
-    monkeypatch.setattr(plots, "CYCLE", ["C0", "C1"])
+def test_the_variants_of_a_method_have_shades_and_dashes_of_their_own(tmp_path, drawn):
+    for scale in (1.0, 2.0):
+        write_run(tmp_path / str(scale), TABLETOP, "fbrl", rising(3, 3), metrics=METRICS, reward_scale=scale)
+    write_run(tmp_path / "naive", TABLETOP, "naive", rising(3, 3), metrics=METRICS)
+    lines = drawn(tmp_path).axes[0].lines
+    assert [line.get_linestyle() for line in lines] == ["-", "--", "-"]
+    dark, light, naive = (to_rgb(line.get_color()) for line in lines)
+    assert sum(dark) < sum(to_rgb(COLOURS["fbrl"])) < sum(light)
+    assert naive == to_rgb(COLOURS["naive"])
+
+
+def test_more_lines_than_colours_can_tell_apart_have_no_legend(sweep, drawn, monkeypatch):
+    monkeypatch.setattr(plots, "MOST_NAMED", 2)
     assert drawn(sweep).legends
-    monkeypatch.setattr(plots, "CYCLE", ["C0"])
+    monkeypatch.setattr(plots, "MOST_NAMED", 1)
     with pytest.warns(RunWarning, match="a picture of more than 1 lines has no legend"):
         assert not drawn(sweep).legends
+
+
+def test_a_run_without_rewards_has_its_scores_alone_and_stands_beside_others(tmp_path, drawn):
+    write_run(tmp_path / "own", TABLETOP, "fbrl", rising(3, 3))
+    assert [axis.get_title() for axis in drawn(tmp_path).axes] == ["Deployed, from s0"]
+    write_run(tmp_path / "naive", TABLETOP, "naive", rising(3, 3), metrics=METRICS)
+    _, continuing = drawn(tmp_path).axes
+    assert sorted(np.isfinite(line.get_ydata()).any() for line in continuing.lines) == [False, True]
 
 
 def test_runs_of_a_task_by_success_and_by_return_have_panels_of_their_own(tmp_path, drawn):
