@@ -130,7 +130,7 @@ def _points_table(rows: Sequence[Row]) -> str:
         texts = [mean_text(column(seeds, score), ".3f") for score in ("final", "deployed_area")]
         spent, ended = mean_text(column(seeds, "interventions"), ",.1f"), f"{column(seeds, 'ended').mean():.2f}"
         lines.append([*name, f"{value:g}", len(seeds), f"{steps:,}", spent, *texts, ended])
-    header = ["task", "method", "varied", "value", "seeds", "steps", "interventions", "final", "D(A)", "ended"]
+    header = ["task", "method", "varied", "value", "seeds", "steps", "interventions", "final", "area", "ended"]
     return markdown_table(header, lines)
 
 

@@ -89,7 +89,7 @@ class Setting:
 class Deployment(Setting):
     """Deployment: the final policy is evaluated. Each attempt draws a goal; hard interventions occur every H_T steps.
 
-    Evaluated by D(A), the area under the deployed curve, and by J_D of the final policy (section 4.1.1 of the paper).
+    Evaluated by the deployed curve, whose regret is D(A), and by J_D of the final policy (section 4.1.1 of the paper).
     """
 
     name: ClassVar[str] = "deployment"
