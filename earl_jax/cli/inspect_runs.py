@@ -125,7 +125,7 @@ def _mean_text(values: "np.ndarray") -> str:
 
 def plot(
     folders: Positional[tuple[Path, ...]],
-    out: Path = Path("curves.png"),
+    out: tuple[Path, ...] = (Path("curves.png"),),
     labels: Texts = (),
     metric: str | None = None,
     size: Literal["screen", "column", "page"] = "screen",
@@ -136,16 +136,17 @@ def plot(
 
     Args:
         folders: Run folders, or folders that contain them, such as a sweep. Each task gets panels of its own.
-        out: Picture to write: .png, .pdf or .svg. A line says so if it replaces a file.
+        out: Pictures to write: .png, .pdf or .svg. A line says so if one replaces a file.
         size: screen, or one column (85 mm) or a whole page (175 mm) of a paper.
         smooth: Number of evaluations in the trailing mean that is drawn. 1 draws each as it is, at most 2,000 a line.
         published: Draw a panel for each run, with every seed, and the paper's released seeds in grey behind them.
     """
     from earl_jax.report.plots import caption, plot_runs
 
-    with replacing(out):
-        plot_runs(folders, out, tuple(itertools.chain(*labels)), metric, size, smooth, published)
-    print(f"{out}\n{caption(smooth, published)}")
+    for path in out:
+        with replacing(path):
+            plot_runs(folders, path, tuple(itertools.chain(*labels)), metric, size, smooth, published)
+    print(*out, caption(smooth, published), sep="\n")
 
 
 def table(
@@ -154,25 +155,25 @@ def table(
     window: int | None = None,
     labels: Texts = (),
     metric: str | None = None,
-    out: Path | None = None,
+    out: tuple[Path, ...] = (),
     json: bool = False,
 ) -> None:
     """Print the paper's two tables for runs, with the published numbers if there are any.
 
     Args:
         folders: Run folders, or folders that contain them, such as a sweep.
-        out: File that also receives the table: .md, .tex or .csv. By default none.
+        out: Files that also receive the table: .md, .tex or .csv. By default none.
     """
     from earl_jax.metrics.scores import Window
     from earl_jax.report.tables import TABLES, run_table, tabulate, terminal_width, write
     from earl_jax.runs.files import require_suffix
 
-    if out:
-        require_suffix(out, TABLES, "tables")
+    for path in out:
+        require_suffix(path, TABLES, "tables")
     rows = tabulate(folders, Window(last, window), metric, tuple(itertools.chain(*labels)))
-    if out:
-        with replacing(out):
-            write(rows, out)
+    for path in out:
+        with replacing(path):
+            write(rows, path)
     emit({"rows": rows}, json, run_table(rows).text(terminal_width()))
 
 

@@ -95,8 +95,10 @@ def compare(
     require_known("against", against, ("runs", "published"))
     runs = read_methods(folders, window, metric)
     if against == "published":
-        rows, needed = published_rows(runs, metric), "tasks of the paper" + (f" with {metric}" if metric else "")
-        needed += ", and none with an option that changes the task"
+        rows, needed = published_rows(runs, metric), "a task and a method of the paper"
+        compared = {(row["env"], row["first"]) for row in rows}
+        for run in (run for run in runs if (run.env, run.label) not in compared):
+            warn(f"{run.label} on {run.env} is not compared: {_nothing_published(run, metric)}")
     else:
         rows, needed = [], "two methods on one task, or --against published"
         for first, second in (pair for pair in itertools.combinations(runs, 2) if pair[0].env == pair[1].env):
@@ -168,6 +170,15 @@ def _printed_rows(curves: Curves) -> list[Row]:
     elif step < length:
         row |= untested(f"not compared at {share_text(step, length)} of the published steps")
     return [row]
+
+
+def _nothing_published(curves: Curves, metric: str | None) -> str:
+    """Return why the paper has nothing beside a run."""
+    if not curves.comparable:
+        return "its task, its kind of reward or its setting is not that of the paper's tables"
+    if published_score(1, curves.env, curves.algo) is None:
+        return f"the paper has no {curves.algo} on this task"
+    return f"the released runs have no {metric}" if metric else "it ends before their first evaluation"
 
 
 def _row(

@@ -178,7 +178,7 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     """Return the curves of the seeds of all `parts`, over their common steps.
 
     Raises:
-        ValueError: they have no step in common, or one lacks a metric of `NEEDED`.
+        ValueError: they have no step in common, or one lacks a metric of `NEEDED` that others have.
     """
     config, folders = parts[0].config, tuple(folder for part in parts for folder in part.runs)
     steps = functools.reduce(np.intersect1d, [part.steps for part in parts])
@@ -186,6 +186,10 @@ def pooled(parts: Sequence[Curves]) -> Curves:
         raise InputError(
             f"{folders[-1].path} and {folders[0].path} have no evaluation step in common, "
             "and runs of one task, method and options are pooled; leave one of them out"
+        )
+    if len({bool(np.isnan(part.metrics[CONTINUING]).all()) for part in parts}) > 1:
+        raise InputError(
+            f"of {folders[-1].path} and {folders[0].path}, which would be pooled, one has no column {CONTINUING!r}"
         )
     metrics = {
         name: np.concatenate([part.metrics[name][:, np.isin(part.steps, steps)] for part in parts])

@@ -108,7 +108,7 @@ def row_of(curves: Curves) -> dict[str, Any]:
         "deployed_stderr": float(stderr(deployed)),
         "deployed_low": interval.low,
         "deployed_high": interval.high,
-        "seeds_above_half": float((deployed > 0.5).mean()) if rates else None,
+        "seeds_above_half": float((deployed > 0.5).mean()) if rates and np.isfinite(deployed).all() else None,
         "published_deployed": table1 and table1.text,
         "continuing": float(continuing.mean()),
         "continuing_stderr": float(stderr(continuing)),

@@ -18,6 +18,7 @@ from earl_jax.metrics.statistics import Estimate
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves, checked_labels, labels, options_text
 from earl_jax.report.scores import LEVELS, interval_of, row_of, seed_scores
+from earl_jax.report.style import task_order
 from earl_jax.runs.files import require_suffix, written
 
 Row = dict[str, Any]
@@ -83,18 +84,22 @@ def tabulate(
 ) -> list[Row]:
     """Return one row per method: deployed and continuing scores over seeds, crossings, and the published scores.
 
+    The tasks are in the paper's order, the rows of a task in the order of its folders.
+
     Args:
         folders: run folders; seeds of the same task, method and options are pooled.
         window: the evaluations at the end of a run that are averaged; the paper's table 1 uses the last one alone.
         metric: a column of metrics.csv; rows then contain only its mean and interval.
-        names: a name for each row; by default its method, with the options that distinguish it from others.
+        names: a name for each row, in the order of the folders; by default its method, with the options that
+            distinguish it from others.
 
     Raises:
         ValueError: a folder cannot be read, a run has no column `metric`, or `names` are too few or many.
     """
     runs = read_all(folders, window, functools.partial(seed_scores, metric=metric))
     named = zip(runs, checked_labels(names, labels(runs)), strict=True)
-    runs = [curves._replace(label=name) for curves, name in named]
+    tasks = task_order(curves.env for curves in runs)
+    runs = sorted((curves._replace(label=name) for curves, name in named), key=lambda run: tasks.index(run.env))
     return [_metric_row(curves, metric) if metric else row_of(curves) for curves in runs]
 
 
@@ -120,7 +125,7 @@ def run_table(rows: Sequence[Row]) -> Table:
         return Table.of([*NAMES, ("seeds", lambda row: row["seeds"]), STEPS, mean], rows, [score, *options])
     life = [(name, cell) for name, cell in LIFE if any(cell(row) != "-" for row in rows)]
     crossed = [CROSSED] if any(row[f"steps_to_{LEVELS[0]}"] is not None for row in rows) else []
-    return Table.of([*COLUMNS, *life], rows, [score, *crossed, *([LEGEND] if life else []), *options])
+    return Table.of([*COLUMNS, *life], rows, [score, SHORT, *crossed, *([LEGEND] if life else []), *options])
 
 
 def _interval(name: str) -> Column:
@@ -158,6 +163,10 @@ LIFE: tuple[Column, ...] = (
     _number("still", "still_steps", ",.0f"),
 )
 """Columns that are shown if a row has a value for them."""
+SHORT = (
+    "stderr: the population deviation over the root of the number of seeds, as in the paper's tables. seeds over 0.5: the share "
+    "of seeds with such a score. steps/reward: steps for a reward of 1 in the last quarter of the run, the median over seeds."
+)
 CROSSED = f"to {LEVELS[0]}: the first step at which the mean success over {CROSSING_WINDOW:,} steps reaches it."
 LEGEND = (
     "Means over seeds in the same window: wide, success from wide starts; forward and back, the share of phases that reached "

@@ -167,14 +167,18 @@ class RunFolder:
             raise OSError(f"{self.metrics} can't be written: {error.strerror or error}; {remedy}") from error
 
     def table(self) -> Table:
-        """Return the table of metrics, up to its last complete evaluation.
+        """Return the table of metrics, up to its last complete evaluation. A `RunWarning` says that later rows are not read.
 
         Raises:
             ValueError: a row is damaged, repeated, missing or of another run, or the newest checkpoint comes after the
                 last row; the message says what to do.
         """
         step = newest(self.checkpoints)  # before the table, because a running process writes the rows first
-        return self._table(step, whole=True)
+        table = self._table(step, whole=True)
+        if table.cut:
+            cause = "after it a seed or the end of a line is missing"
+            warn(f"{self.metrics} is read up to its last whole evaluation, of step {table.step:,}: {cause}")
+        return table
 
     def require_resumable(self) -> Table:
         """Return the table of metrics, whose rows and columns up to the newest checkpoint are intact.

@@ -34,13 +34,14 @@ class Table:
     """A table of metrics as far as it is intact.
 
     `steps [E]` and `metrics` of arrays [N, E] are those of the whole evaluations before the first error, which `problem`
-    describes; it is empty if there is none. The last evaluation is no error if a kill truncated it. Without an evaluation
-    there are no metrics.
+    describes; it is empty if there is none. The last evaluation is no error if a kill truncated it; then the table is `cut`.
+    Without an evaluation there are no metrics.
     """
 
     steps: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, int))
     metrics: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
     problem: str = ""
+    cut: bool = False
 
     @property
     def step(self) -> int:
@@ -65,22 +66,25 @@ class Table:
     @classmethod
     def read(cls, path: Path, config: RunConfig) -> "Table":
         """Return the table at `path`, which is empty if there is no file."""
-        lines, seeds = whole_lines(path), len(config.seeds)
-        columns = _cells(next(lines, ""))
+        lines, seeds = lines_of(path), len(config.seeds)
+        header = next(lines, "")
+        columns = _cells(header) if _is_whole(header) else []
         if not set(columns) >= set(KEYS) or len(set(columns)) < len(columns):
             return cls(problem="line 1 is not the header" if columns else "")
-        blocks, count, problem = [np.empty((0, len(columns)))], 0, ""
-        while not problem and (block := list(itertools.islice(lines, BLOCK))):
-            rows, problem = _rows(block, columns, config, count)
+        blocks, count, problem, cut = [np.empty((0, len(columns)))], 0, "", False
+        while not problem and not cut and (block := list(itertools.islice(lines, BLOCK))):
+            cut = not _is_whole(block[-1])
+            rows, problem = _rows(block[:-1] if cut else block, columns, config, count)
             blocks.append(rows)
             count += len(rows)
         problem = problem and f"line {count + 2} {problem}"
+        cut |= bool(count % seeds)
         if count < seeds:
-            return cls(problem=problem)
+            return cls(problem=problem, cut=cut)
         values = np.concatenate(blocks)[: count - count % seeds].reshape(-1, seeds, len(columns))
         metrics = dict(zip(columns, np.ascontiguousarray(values.transpose(2, 1, 0)), strict=True))
         steps, _ = (metrics.pop(name) for name in KEYS)
-        return cls(steps[0].astype(int), metrics, problem)
+        return cls(steps[0].astype(int), metrics, problem, cut)
 
 
 def lines_of(path: Path) -> Iterator[str]:
@@ -96,7 +100,7 @@ def lines_of(path: Path) -> Iterator[str]:
 
 def whole_lines(path: Path) -> Iterator[str]:
     """Yield the lines of `lines_of` without the last one if a kill truncated it."""
-    return (line for line in lines_of(path) if line.endswith("\n") or len(line) == LONGEST)
+    return filter(_is_whole, lines_of(path))
 
 
 def columns_of(path: Path) -> list[str]:
@@ -122,6 +126,10 @@ def csv_text(step: int, seeds: Sequence[int], metrics: Mapping[str, np.ndarray],
     return text.getvalue()
 
 
+def _is_whole(line: str) -> bool:
+    return line.endswith("\n") or len(line) == LONGEST
+
+
 def _cells(line: str) -> list[str]:
     return next(csv.reader([line]), [])
 
@@ -140,11 +148,14 @@ def _rows(lines: Sequence[str], columns: Sequence[str], config: RunConfig, count
     if steps[first] > config.steps:
         return rows[:first], f"comes after step {config.steps}, the last one of the run"
     (step, seed), (wanted, of_seed) = found[first], expected[first]
-    return rows[:first], f"is step {step:.15g} of seed {seed:.15g} instead of step {wanted} of seed {of_seed}"
+    order = "rows go by step, and of a step in the order of the config's seeds"
+    return rows[:first], f"is step {step:.15g} of seed {seed:.15g} instead of step {wanted} of seed {of_seed} ({order})"
 
 
 def _numbers(lines: Sequence[str], width: int) -> np.ndarray:
     """Return the rows [R, width] on `lines` before the first that does not have as many numbers."""
+    if not lines:
+        return np.empty((0, width))
     with contextlib.suppress(ValueError):
         rows = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
         if rows.shape[1] == width:

@@ -213,9 +213,9 @@ def test_a_method_of_figure_2_with_one_horizon_is_not_tested(tmp_path):
 def test_a_line_of_the_trade_off_is_scored_over_the_same_steps(tmp_path):
     """Both are scored over steps 60 to 100, the last five evaluations of the rarer ones."""
     ages = [(np.arange(10, 110, 10), 0.0), (np.arange(2, 102, 2), 0.01)]
-    runs = [(TABLETOP, "naive", [at / 10], {**lifetimes(5, chance), "steps": at.tolist()}) for at, chance in ages]
+    runs = [(TABLETOP, "naive", [at / 100], {**lifetimes(5, chance), "steps": at.tolist()}) for at, chance in ages]
     rows = ARTEFACTS["tradeoff"].report(write_runs(tmp_path, runs)).tables[""]
-    assert [row["final"] for row in rows] == pytest.approx([8.0, 8.0])
+    assert [row["final"] for row in rows] == pytest.approx([0.8, 0.8])
 
 
 @pytest.mark.parametrize(("values", "p"), [([1, 2, 3], 2 / 6), ([1, 2, 3, 4], 2 / 24), ([1, 1, 2, 2], 2 / 6)])

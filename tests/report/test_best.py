@@ -47,14 +47,18 @@ def test_a_window_of_another_kind_and_an_unknown_test_are_refused_before_any_run
         best([tmp_path], test="t")
 
 
-FEW, LESS, NAN = [0.0] * 3, [-0.1] * 3, [math.nan, *GOOD]
+FEW, LESS, NAN = [0.1] * 3, [0.0] * 3, [math.nan, *GOOD]
 RANKED = [
     ({"a": FEW, "b": FEW, "c": FEW, "d": LESS}, "tied, tied, tied, cannot tell", "from the best: rank 1, 4."),
     ({"short": GOOD, "bad": BAD, "close": CLOSE}, "best, below, shorter", "Of 1 other of the same length, 0"),
     ({"bad": BAD, "dead": NAN, "good": GOOD}, "best, below, cannot tell", "cannot tell: a score is not finite"),
     ({"nan": NAN}, "cannot tell", "no other run of the same length"),
-    ({f"n{n}": [n, n + 0.1] for n in range(5)}, "best" + 4 * ", cannot tell", "of so many permutation tests is 1."),
-    ({f"n{n}": [n, n + 0.1] for n in range(5)}, "best" + 4 * ", cannot tell", "from the best: rank 2 to 5."),
+    (
+        {f"n{n}": [n / 5, n / 5 + 0.1] for n in range(5)},
+        "best" + 4 * ", cannot tell",
+        "of so many permutation tests is 1.",
+    ),
+    ({f"n{n}": [n / 5, n / 5 + 0.1] for n in range(5)}, "best" + 4 * ", cannot tell", "from the best: rank 2 to 5."),
     ({"4": GOOD[:4], "bad": BAD[:4], "x": [0.5], "y": [0.6]}, "best, cannot tell, cannot tell, below", "two seeds"),
 ]
 """The scores of runs, their verdicts by rank, and a text about them."""

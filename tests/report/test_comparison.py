@@ -90,8 +90,15 @@ def test_what_cannot_be_compared_is_refused(folders, tmp_path):
     with pytest.warns(RunWarning, match="naive and fbrl .* are not compared: one is scored by success"):
         rows = compare([*folders[:2], dense, sparse])
     assert [(row["first"], row["second"]) for row in rows] == [("naive", "fbrl")]
-    with pytest.raises(ValueError, match="needs runs of tasks of the paper, and none with an option that changes the"):
-        compare([sparse], against="published")
+    shipped = write_run(tmp_path / "medal", TABLETOP, "medal", constant(*GOOD))
+    for folder, cause in ((sparse, "its task, its kind of reward or its setting"), (shipped, "the paper has no medal")):
+        with (
+            pytest.warns(RunWarning, match=f"is not compared: {cause}"),
+            pytest.raises(
+                ValueError, match="nothing to compare; compare needs runs of a task and a method of the paper"
+            ),
+        ):
+            compare([folder], against="published")
     with pytest.raises(ValueError, match="unknown against 'publised'; did you mean 'published'"):
         compare(folders, against="publised")
 
@@ -130,5 +137,8 @@ def test_another_metric_is_compared_by_its_name(tmp_path):
     assert compare(paths)[0]["difference"] == 0
     [row] = compare(paths, metric="deployed/success_wide")
     assert row["difference"] == pytest.approx(np.mean(GOOD) - np.mean(BAD))
-    with pytest.raises(ValueError, match="needs runs of tasks of the paper with deployed/success_wide"):
+    with (
+        pytest.warns(RunWarning, match="naive on .* is not compared: the released runs have no deployed/success_wide"),
+        pytest.raises(ValueError, match="needs runs of a task and a method of the paper"),
+    ):
         compare(paths, "published", metric="deployed/success_wide")

@@ -164,7 +164,10 @@ def test_a_run_that_does_not_fit_is_left_out_of_its_pool(tmp_path):
     [run], left_out = gather([tmp_path])
     assert run.run_seeds == [0, 1, 1, 2]
     assert list(left_out) == [tmp_path / "other"]
-    assert left_out[tmp_path / "other"].startswith(f"{table} has no column 'continuing/reward'")
+    cause = (
+        f"of {tmp_path / 'other'} and {tmp_path / 'a'}, which would be pooled, one has no column 'continuing/reward'"
+    )
+    assert left_out[tmp_path / "other"] == cause
 
 
 def test_a_copy_is_left_out_and_a_seed_that_ran_twice_counts_once_by_its_mean(tmp_path):

@@ -3,6 +3,9 @@
 import dataclasses
 from importlib import metadata
 
+import numpy as np
+import pytest
+
 from earl_jax.protocol import Continuing
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import by_method, labels, read
@@ -77,6 +80,14 @@ def test_a_known_method_on_an_unknown_task_is_labelled_with_its_own_default(tmp_
     monkeypatch.setattr("earl_jax.report.runs.env_class", {"theirs": theirs}.get)
     change_config(paths[0], env_options={"places": [1, 2]})
     assert labels(read_all(paths))[1] == "fbrl (places=default, reward_scale=10)"
+
+
+def test_a_rate_outside_of_0_to_1_is_refused_with_its_place(tmp_path):
+    path = write_run(tmp_path / "percent", TABLETOP, "naive", [[0.0, 60.0], [0.5, np.nan]], seeds=(7, 8))
+    with pytest.raises(
+        ValueError, match=r"percent/metrics.csv: deployed/success of seed 7 at step 20 is 60, not from 0"
+    ):
+        read(path)
 
 
 def test_no_package_is_searched_to_know_whether_a_run_is_comparable(tmp_path, monkeypatch):

@@ -9,14 +9,14 @@ from earl_jax.metrics.scores import SUCCESS, Window
 from earl_jax.protocol import Continuing
 from earl_jax.report import tables
 from tests.cli.process import one_line, run, succeed, unchanged
-from tests.report.run_files import TABLETOP, constant, read_csv, write_run
+from tests.report.run_files import DOOR, TABLETOP, constant, read_csv, write_run
 
 REWARDS = {"continuing/reward": 0.0, "continuing/recent": 0.0}
 
 
 def write_three_evaluations(path, **options):
-    """Write a run of two seeds that score 0, 0.5, 1 and 0.1 more, and whose reward per step rises to 0.02."""
-    success = np.add.outer([0.0, 0.1], [0.0, 0.5, 1.0])
+    """Write a run of two seeds that score 0, 0.6, 0.9 and 0.1 more, and whose reward per step rises to 0.02."""
+    success = np.add.outer([0.0, 0.1], [0.0, 0.6, 0.9])
     recent = np.array([0.0, 0.01, 0.02])
     metrics = {"continuing/reward": np.cumsum(recent) / np.arange(1, 4), "continuing/recent": recent}
     return write_run(path, TABLETOP, "naive", success, metrics={**metrics, **options.pop("metrics", {})}, **options)
@@ -33,7 +33,25 @@ def test_a_row_summarises_the_curves(tmp_path):
     text = tables.run_table([row]).text()
     assert text.count("| - | - | 50.0 |") == 1
     assert "The score of a seed is its mean over the evaluations of the last tenth of the run, at least 5." in text
-    assert tables.tabulate([folder], Window(last=1))[0]["deployed"] == pytest.approx(1.05)
+    assert "seeds over 0.5: the share of seeds with such a score. steps/reward: steps for a reward of 1" in text
+    assert tables.tabulate([folder], Window(last=1))[0]["deployed"] == pytest.approx(0.95)
+
+
+def test_a_run_from_elsewhere_may_lack_rewards_and_a_score_that_is_not_finite_is_not_below_a_half(tmp_path):
+    [row] = tables.tabulate([write_run(tmp_path / "own", TABLETOP, "naive", [[0.9, 0.9], [0.9, np.nan]])])
+    assert np.isnan([row["deployed"], row["continuing"], row["continuing_stderr"]]).all()
+    assert row["seeds_above_half"] is None
+    assert "| naive | 2 | 20 | - | - | 0.32 (0.17) | - |" in tables.run_table([row]).text()
+
+
+def test_the_rows_of_a_task_stand_together_under_their_own_names(tmp_path):
+    envs = (DOOR, TABLETOP, DOOR)
+    folders = [
+        write_run(tmp_path / str(number), env, algo, constant(0.5), metrics=REWARDS)
+        for number, (env, algo) in enumerate(zip(envs, ("naive", "fbrl", "fbrl"), strict=True))
+    ]
+    rows = tables.tabulate(folders, names=("first", "second", "third"))
+    assert [(row["env"], row["algo"]) for row in rows] == [(TABLETOP, "second"), (DOOR, "first"), (DOOR, "third")]
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def originals(tmp_path_factory, env, state):
     config = make_config(env, tiny_method("naive"))
     folder = RunFolder.create(tmp_path_factory.mktemp("runs") / "finished", config, "kinematic")
     for step in (40, 80, 120):
-        folder.append(step, {name: np.array([step / 7, 1.0]) for name in sorted(COLUMNS)})
+        folder.append(step, {name: np.array([step / 700, 1.0]) for name in sorted(COLUMNS)})
         checkpoint.save(folder.checkpoints, state.replace(step=jnp.asarray(step, jnp.int32)))
     save_policies(folder.policies, {"w": np.zeros(2)}, step=120, seeds=(0, 1), obs_size=1, action_size=1)
     running = shutil.copytree(folder.path, folder.path.parent / "running")

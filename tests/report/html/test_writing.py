@@ -74,7 +74,8 @@ def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
     write_page_run(tmp_path / "endless", "r3l", rising(2, 2), metrics={"interventions": np.inf})
     write_page_run(tmp_path / "unknown", "oracle", [[0.5, np.nan]])
     write_page_run(tmp_path / "narrow", "risc", rising(2, 2), metrics={"deployed/success_wide": np.nan})
-    write_run(tmp_path / "huge", TABLETOP, "naive", [[1e200, -1e200], [1e308, 1e308]], metrics={"continuing/reward": 1})
+    huge, dense = [[1e200, -1e200], [1e308, 1e308]], {"reward_type": "dense"}
+    write_run(tmp_path / "huge", TABLETOP, "naive", huge, metrics={"continuing/reward": 1}, env_options=dense)
     causes = {
         "offline": {"setting": {"name": "offline"}},
         "unknown reward_type 5; choose from sparse, dense": {"reward_type": 5},
