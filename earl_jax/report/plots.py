@@ -1,5 +1,6 @@
 """Learning curves as pictures."""
 
+import itertools
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,8 +22,11 @@ from earl_jax.runs.files import require_suffix, warn
 
 RELEASED = {"color": "0.55"}
 """The style of the released runs of the paper."""
-MOST_NAMED = 40
-"""Most lines that a legend tells apart."""
+CYCLE = {
+    "C0": "fbrl", "C1": "oracle", "C2": "r3l", "C3": "naive", "C4": "", "C5": "", "C6": "vaprl", "black": "", "C8": "", "C9": "",
+}  # fmt: skip
+"""Colours of lines without one of their own: matplotlib's, without its grey, which looks like that of the released runs.
+Each has the name of the method whose colour in `style.COLOURS` looks like it; a picture of this method leaves it out."""
 LETTER = 0.58 / 72
 """Width of a letter in inches per point of its size."""
 POINTS = 2000
@@ -123,13 +127,13 @@ def plot_runs(
 def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:
     """Return the lines of `runs`; lines of different tasks that have the same name have the same style."""
     given = labels(runs)
-    styles = style.line_styles(zip((curves.algo for curves in runs), given, strict=True))
     distinct = list(dict.fromkeys(given))
     titles = map(style.plain, checked_labels(names, distinct)) if names else map(style.method_title, distinct)
     renamed = dict(zip(distinct, titles, strict=True))
-    looks = {
-        name: {"color": colour, "linestyle": style.LINE_STYLES[dashes]} for name, (colour, dashes) in styles.items()
-    }
+    cycle = [colour for colour, similar in CYCLE.items() if similar not in distinct]
+    marks = itertools.cycle(itertools.product(style.LINE_STYLES, cycle))
+    marked = {name: ("-", style.COLOURS[name]) if name in style.COLOURS else next(marks) for name in distinct}
+    looks = {name: {"linestyle": dashes, "color": colour} for name, (dashes, colour) in marked.items()}
     return [Line(curves, renamed[name], looks[name]) for curves, name in zip(runs, given, strict=True)]
 
 
@@ -172,10 +176,11 @@ def draw_curves(axis: Any, curves: Curves, metric: str, smooth: int, look: dict[
 def _add_legend(figure: Any, lines: Sequence[Line], layout: Size, released: bool) -> None:
     """Name the lines below the panels in as many lines of text as needed, with their seeds where all tasks have as many.
 
-    With more than `MOST_NAMED` lines there is no legend, and a `RunWarning` says so.
+    Where styles repeat there is no legend, and a `RunWarning` says so.
     """
-    if len({line.name for line in lines}) > MOST_NAMED:
-        warn(f"a picture of more than {MOST_NAMED} lines has no legend, because their colours are too similar")
+    count = len({line.name for line in lines})
+    if count > len({tuple(line.style.values()) for line in lines}):
+        warn(f"a picture of {count} lines has no legend, because their styles repeat")
         return
     entries: dict[str, dict[str, Any]] = {}
     for line in lines:

@@ -27,9 +27,9 @@ AXES = {
 }
 """What axes call metrics."""
 UNITS = ((1_000_000, "Steps (millions)"), (1_000, "Steps (thousands)"))
-COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#CC79A7", "oracle": "#333333"}
+COLOURS = {"naive": "#D55E00", "fbrl": "#0072B2", "r3l": "#009E73", "vaprl": "#CC79A7", "oracle": "#E69F00"}
 """The paper's methods in its order, each with its colour in every figure (the palette of Okabe and Ito)."""
-OTHER_COLOURS = ("#E69F00", "#56B4E9", "#8C564B", "#6A3D9A", "#F0E442")
+OTHER_COLOURS = ("#6A3D9A", "#56B4E9", "#8C564B", "#F0E442", "#333333")
 LINE_STYLES = ("-", "--", ":", "-.")
 LEAST_BRIGHTNESS = 160
 """Least brightness of a colour on a dark page, 0 to 255."""
@@ -118,20 +118,6 @@ def colours(algos: Iterable[str]) -> dict[str, str]:
     names = method_order(algos)
     others = [name for name in names if name not in COLOURS]
     return {name: COLOURS.get(name) or OTHER_COLOURS[others.index(name) % len(OTHER_COLOURS)] for name in names}
-
-
-def line_styles(lines: Iterable[tuple[str, str]]) -> dict[str, tuple[str, int]]:
-    """Return the colour and the number of the dashes of each of `lines`, pairs of method and label, by its label.
-
-    The lines of a method have shades of its colour, and other dashes each, as far as there are `LINE_STYLES`.
-    """
-    methods = grouped(dict.fromkeys(lines), lambda line: line[0])
-    palette = colours(methods)
-    return {
-        label: (shaded(palette[algo], number, len(of_method)), number % len(LINE_STYLES))
-        for algo, of_method in methods.items()
-        for number, (_, label) in enumerate(of_method)
-    }
 
 
 def mixed(colour: str, other: str, share: float) -> str:

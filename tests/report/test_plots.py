@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
 
 from earl_jax.metrics.phase_stats import ALIVE, FORWARD
 from earl_jax.report import plots
@@ -71,23 +70,25 @@ def test_a_metric_smoothing_and_labels(sweep, drawn):
     assert axis.lines[0].get_marker() == "o", "evaluations without neighbours are drawn as dots"
 
 
-def test_the_variants_of_a_method_have_shades_and_dashes_of_their_own(tmp_path, drawn):
-    for scale in (1.0, 2.0):
+def test_lines_of_variants_have_colours_unlike_those_of_the_methods_beside_them(tmp_path, drawn, monkeypatch):
+    for scale in (1.0, 2.0, 3.0):
         write_run(tmp_path / str(scale), TABLETOP, "fbrl", rising(3, 3), metrics=METRICS, reward_scale=scale)
+    monkeypatch.setattr(plots, "CYCLE", {"C3": "naive", "C4": "", "C5": ""})
+    assert [line.get_color() for line in drawn(tmp_path).axes[0].lines] == ["C3", "C4", "C5"]
     write_run(tmp_path / "naive", TABLETOP, "naive", rising(3, 3), metrics=METRICS)
     lines = drawn(tmp_path).axes[0].lines
-    assert [line.get_linestyle() for line in lines] == ["-", "--", "-"]
-    dark, light, naive = (to_rgb(line.get_color()) for line in lines)
-    assert sum(dark) < sum(to_rgb(COLOURS["fbrl"])) < sum(light)
-    assert naive == to_rgb(COLOURS["naive"])
+    assert [line.get_color() for line in lines] == ["C4", "C5", "C4", COLOURS["naive"]]
+    assert [line.get_linestyle() for line in lines] == ["-", "-", "--", "-"]
 
 
-def test_more_lines_than_colours_can_tell_apart_have_no_legend(sweep, drawn, monkeypatch):
-    monkeypatch.setattr(plots, "MOST_NAMED", 2)
-    assert drawn(sweep).legends
-    monkeypatch.setattr(plots, "MOST_NAMED", 1)
-    with pytest.warns(RunWarning, match="a picture of more than 1 lines has no legend"):
-        assert not drawn(sweep).legends
+def test_lines_whose_styles_repeat_have_no_legend(tmp_path, drawn, monkeypatch):
+    for scale in (1.0, 2.0):
+        write_run(tmp_path / str(scale), TABLETOP, "fbrl", rising(3, 3), metrics=METRICS, reward_scale=scale)
+    monkeypatch.setattr(plots, "CYCLE", {"C0": ""})
+    assert drawn(tmp_path).legends
+    monkeypatch.setattr(plots.style, "LINE_STYLES", ["-"])
+    with pytest.warns(RunWarning, match="a picture of 2 lines has no legend, because their styles repeat"):
+        assert not drawn(tmp_path).legends
 
 
 def test_a_run_without_rewards_has_its_scores_alone_and_stands_beside_others(tmp_path, drawn):

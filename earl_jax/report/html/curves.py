@@ -13,7 +13,7 @@ from earl_jax.metrics.scores import CONTINUING, RATES, SUCCESS
 from earl_jax.report.published import published_beside, training_steps
 from earl_jax.report.runs import Curves, by_method
 from earl_jax.report.scores import SMOOTH, crossings_beside, evenly_spaced, interval_of, trailing
-from earl_jax.report.style import lightened, line_styles
+from earl_jax.report.style import colours, grouped, lightened, shaded
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 POINTS = 250
@@ -38,12 +38,12 @@ class Line(NamedTuple):
 
 def lines_of(runs: Sequence[Curves]) -> list[Line]:
     """Return a line for each of `runs`, in the paper's order; variants of a method have shades of its colour."""
-    named = by_method(runs)
-    styles = line_styles((curves.algo, curves.label) for curves in named)
-    lines = []
-    for number, curves in enumerate(named):
-        light, dash = styles[curves.label]
-        lines.append(Line(f"c{number}", curves, light, lightened(light), DASHES[dash]))
+    lines: list[Line] = []
+    palette = colours(curves.algo for curves in runs)
+    for (_, algo), peers in grouped(by_method(runs), lambda curves: (curves.env, curves.algo)).items():
+        for number, curves in enumerate(peers):
+            light = shaded(palette[algo], number, len(peers))
+            lines.append(Line(f"c{len(lines)}", curves, light, lightened(light), DASHES[number % len(DASHES)]))
     return lines
 
 
