@@ -49,12 +49,6 @@ class Plan:
         """The name of the physics engine that steps the task, or `kinematic`."""
         return resolved_engine(self.problem.env)
 
-    def warmups(self, start: int) -> list[bool]:
-        """Return whether each chunk from step `start`, a multiple of `chunk_steps`, to the next evaluation is warm-up."""
-        every = self.problem.protocol.eval_every
-        steps = range(start, (start // every + 1) * every, self.chunk_steps)
-        return [step < self.random_steps for step in steps]
-
 
 def make_plan(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:
     """Return the plan of a program with `lanes` lanes on `devices` devices, as in `lane_mesh`.

@@ -145,7 +145,8 @@ class Program:
         """Trace the functions of the runs to raise their errors before training; `run` does not trace them again."""
         plan, method = self.plan, self._method
         state = jax.eval_shape(self._initial_state())
-        for warmup in {*plan.warmups(0)}:
+        for step in (0, plan.steps - plan.chunk_steps):  # random actions, if there are any, then learning
+            warmup = step < plan.random_steps
             state = _advance.eval_shape(plan.problem, method, state, plan.chunk_steps, warmup, plan.mesh)
         _evaluate.eval_shape(plan.problem, method, state, plan.mesh)
 
@@ -209,29 +210,33 @@ class Program:
         )
 
     def _train_to_end(self, state: TrainState, step: int, bar: Progress, stop: StopRequest) -> TrainState:
-        """Return the final state, or the one at a time limit, trained from `step`. Errors as `run`."""
+        """Return the final state, or the one at a time limit, trained from `step`. Errors as `run`.
+
+        Even with a time limit at least one chunk runs, so repeated commands finish eventually.
+        """
         plan, start = self.plan, step
         check_lanes(plan.problem, self._method, state)
         if step == plan.steps:
             bar.message(f"all {step:,} steps were trained before")
             self._record_length()
-        while step < plan.steps:
-            state = self._train_to_evaluation(state, step, bar, stop)
-            previous, step = step, int(gathered(state.step))
-            if step > previous == start:
+        stopping = stop.requested
+        while step < plan.steps and not stopping:
+            state = self._train_chunk(state, step, bar)
+            step += plan.chunk_steps
+            stop.check()
+            if step == start + plan.chunk_steps:
                 self._record_length()
-            if step > previous and step % plan.problem.protocol.eval_every == 0:
+            is_evaluated = step % plan.problem.protocol.eval_every == 0
+            if is_evaluated:
                 state = self._evaluated(state, step, bar)
                 stop.check()
             stopping = stop.requested and step < plan.steps
             for run, span in _with_lanes(self._runs):
-                if run.folder and step and (stopping or run.config.checkpoint_due(step)):
+                if run.folder and (stopping or (is_evaluated and run.config.checkpoint_due(step))):
                     save(run.folder.checkpoints, state, span)
-            if stopping and stop.number is not None:
-                folder = self._runs[0].folder if len(self._runs) == 1 else None
-                raise Stopped(stop.number, step, folder and folder.path, state)
-            if stopping:
-                break
+        if stopping and stop.number is not None:
+            folder = self._runs[0].folder if len(self._runs) == 1 else None
+            raise Stopped(stop.number, step, folder and folder.path, state)
         return state
 
     def _record_length(self) -> None:
@@ -240,21 +245,14 @@ class Program:
             if run.folder and first_host():
                 run.folder.record(engine=self.plan.engine, steps=run.config.steps)
 
-    def _train_to_evaluation(self, state: TrainState, step: int, bar: Progress, stop: StopRequest) -> TrainState:
-        """Return the state at the next evaluation, or after the chunk in which a signal arrived or the time ran out.
-
-        Even with a time limit at least one chunk runs, so repeated commands finish eventually.
-        """
-        plan = self.plan
-        for warmup in plan.warmups(step):
-            if stop.requested:
-                return state
-            start_time = time.perf_counter()
-            with bar.working("random actions" if warmup else "training"):
-                state = _advance(plan.problem, self._method, state, plan.chunk_steps, warmup, plan.mesh)
-                state.step.block_until_ready()
-            bar.advance(plan.chunk_steps, time.perf_counter() - start_time)
-            stop.check()
+    def _train_chunk(self, state: TrainState, step: int, bar: Progress) -> TrainState:
+        """Return the state after the chunk of steps that begins at `step`."""
+        plan, start_time = self.plan, time.perf_counter()
+        warmup = step < plan.random_steps
+        with bar.working("random actions" if warmup else "training"):
+            state = _advance(plan.problem, self._method, state, plan.chunk_steps, warmup, plan.mesh)
+            state.step.block_until_ready()
+        bar.advance(plan.chunk_steps, time.perf_counter() - start_time)
         return state
 
     def _evaluated(self, state: TrainState, step: int, bar: Progress) -> TrainState:

@@ -13,15 +13,6 @@ from earl_jax.training.plan import join_lanes, make_plan, per_lane, program_stru
 from tests.conftest import make_problem, tiny_method
 
 
-def test_the_chunks_to_the_next_evaluation_are_warm_up_until_the_random_steps_end(problem):
-    plan = make_plan(problem, tiny_method("naive", random_steps=50), lanes=2, steps=120)
-    assert plan.chunk_steps == 10
-    assert plan.warmups(0) == [True] * 4
-    assert plan.warmups(40) == [True, False, False, False]
-    assert plan.warmups(50) == plan.warmups(90) == [False] * 3
-    assert plan.warmups(80) == [False] * 4
-
-
 @pytest.mark.parametrize(
     ("random_steps", "every", "chunk_steps"),
     [(1000, 10_000, 1000), (0, 10_000, 1000), (0, 40, 40), (8192, 4096, 512), (7, 40, 1)],
