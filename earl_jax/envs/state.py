@@ -50,7 +50,7 @@ class State(struct.PyTreeNode):
     __repr__ = struct_text
 
 
-def tree_where(condition: jax.Array, tree: Any, other: Any) -> Any:
+def tree_where(condition: jax.Array | bool, tree: Any, other: Any) -> Any:
     """Return `tree` where `condition`, bool [], is true, else `other`, a tree of the same structure."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), tree, other)
 

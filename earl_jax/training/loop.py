@@ -70,8 +70,8 @@ def start(
     problem: Problem, method: Method, lanes: LaneState, keys: StepKeys, warmup: Warmup, step: jax.Array
 ) -> Started:
     """Return the control steps that the `lanes` start at `step []`, with their actions."""
-    act = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, warmup, step))
-    return Started(*act(method, lanes, keys.act))
+    of_lane = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, warmup, step))
+    return Started(*of_lane(method, lanes, keys.act))
 
 
 def update(
@@ -86,11 +86,11 @@ def update(
     """Return the state after a gradient step of each lane, and the `started` steps, to be finished afterwards."""
     if batch is None:
         state, batch = sample(method, state, keys.sample)
-    learn_lane = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, warmup, state.step))
-    pending, lanes = in_step_with_host(started.pending, learn_lane(method, state.lanes, keys, batch))
+    of_lane = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, state.step))
+    pending, lanes = in_step_with_host(started.pending, of_lane(method, state.lanes, keys, batch))
     if not (method.learner.random_steps or len(demo_rows(problem, method).rows)):  # the replay is empty at first
         lanes = jax.vmap(tree_where)(state.replay.counts.any(axis=1), lanes, state.lanes)
-    return state.replace(lanes=lanes), started._replace(pending=pending)
+    return state.replace(lanes=tree_where(warmup, state.lanes, lanes)), started._replace(pending=pending)
 
 
 def finish(
@@ -98,8 +98,8 @@ def finish(
 ) -> tuple[LaneState, Stored]:
     """Return the lanes of `state` after the steps that they have `started`, and what the replay stores for them."""
     controller = controller_of(method, state.lanes.phase)
-    finish_lane = jax.vmap(lambda m, lane, *moved: finish_step(problem, m, lane, *moved, step=state.step))
-    lanes, transition, sampleable = finish_lane(method, state.lanes, *started, keys)
+    of_lane = jax.vmap(lambda m, lane, *moved: finish_step(problem, m, lane, *moved, step=state.step))
+    lanes, transition, sampleable = of_lane(method, state.lanes, *started, keys)
     return lanes, (transition, sampleable, controller)
 
 
@@ -113,21 +113,16 @@ def act_and_start(
     problem: Problem, method: Method, lane: LaneState, key: jax.Array, warmup: Warmup, step: jax.Array
 ) -> tuple[jax.Array, PendingStep]:
     """Return the action [a] of one lane, uniformly random during the `warmup`, and the step that it starts."""
-    if warmup is True:
-        action = _random_action(problem, key)
-    else:
+    action = jax.random.uniform(key, (problem.env.action_size,), minval=-1.0, maxval=1.0)
+    if warmup is not True:
         stacked, controller = before_update((lane.agent.actor, controller_of(method, lane.phase)))
         actor = before_update(select_controller(stacked, controller))
-        action = method.act(key, problem.env, actor, lane.env_state.obs, _moment(lane, step), lane.method_state)
-        action = jnp.asarray(action, jnp.float32)
-        require_result(f"{method.name}: the action from act", action, (problem.env.action_size,), "number")
-        action = jnp.clip(action, -1.0, 1.0)  # as `start_step` does, so that the replay has what was done
-        action = action if warmup is False else jnp.where(warmup, _random_action(problem, key), action)
+        chosen = method.act(key, problem.env, actor, lane.env_state.obs, _moment(lane, step), lane.method_state)
+        chosen = jnp.asarray(chosen, jnp.float32)
+        require_result(f"{method.name}: the action from act", chosen, action.shape, "number")
+        chosen = jnp.clip(chosen, -1.0, 1.0)  # as `start_step` does, so that the replay has what was done
+        action = jnp.where(warmup, action, chosen)
     return action, problem.env.start_step(lane.env_state, action)
-
-
-def _random_action(problem: Problem, key: jax.Array) -> jax.Array:
-    return jax.random.uniform(key, (problem.env.action_size,), minval=-1.0, maxval=1.0)
 
 
 def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainState, TransitionBatch]:
@@ -142,17 +137,11 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
 
 @jax.named_scope("update")
 def learn(
-    problem: Problem,
-    method: Method,
-    lane: LaneState,
-    keys: StepKeys,
-    sampled: TransitionBatch,
-    warmup: Warmup,
-    step: jax.Array,
+    problem: Problem, method: Method, lane: LaneState, keys: StepKeys, sampled: TransitionBatch, step: jax.Array
 ) -> LaneState:
-    """Return the lane after an update of the controller that acted, on `sampled` transitions [B].
+    """Return the lane after an update of the controller that acts at `step []`, from 0, on `sampled` transitions [B].
 
-    `step []` counts from 0. In a `warmup` and after the end of the lifetime, the lane stays as it is.
+    After the end of the lifetime, the lane stays as it is.
     """
     env, phase = problem.env, lane.phase
     sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
@@ -172,9 +161,7 @@ def learn(
     agent = _with_controller(lane.agent, one_controller(agent, controller_count(method)), controller)
     counters = lane.counters.replace(diagnostics=diagnostics)
     updated = lane.replace(agent=agent, method_state=method_state, counters=counters)
-    if env.has_absorbing_state:
-        updated = tree_where(lane.env_state.done > 0, lane, updated)
-    return updated if warmup is False else tree_where(jnp.asarray(warmup), lane, updated)
+    return tree_where(lane.env_state.done > 0, lane, updated) if env.has_absorbing_state else updated
 
 
 def batch_of(problem: Problem, learner: Learner, sampled: TransitionBatch, step: jax.Array) -> Batch:

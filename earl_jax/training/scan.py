@@ -28,8 +28,7 @@ def run_steps(problem: Problem, method: Method, state: TrainState, steps: int, w
 
     def refreshed_block(carry, _):
         refreshed = refresh(problem, method, carry)
-        if not isinstance(warmup, bool):
-            refreshed = refreshed.replace(lanes=tree_where(warmup, carry.lanes, refreshed.lanes))
+        refreshed = refreshed.replace(lanes=tree_where(warmup, carry.lanes, refreshed.lanes))
         return _run_block(problem, method, refreshed, block, warmup), None
 
     return jax.lax.scan(refreshed_block, state, length=steps // block)[0]
