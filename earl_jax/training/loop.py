@@ -70,7 +70,7 @@ def start(
     problem: Problem, method: Method, lanes: LaneState, keys: StepKeys, warmup: Warmup, step: jax.Array
 ) -> Started:
     """Return the control steps that the `lanes` start at `step []`, with their actions."""
-    of_lane = jax.vmap(lambda m, lane, key: act_and_start(problem, m, lane, key, warmup, step))
+    of_lane = jax.vmap(lambda m, lane, key: start_lane(problem, m, lane, key, warmup, step))
     return Started(*of_lane(method, lanes, keys.act))
 
 
@@ -86,7 +86,7 @@ def update(
     """Return the state after a gradient step of each lane, and the `started` steps, to be finished afterwards."""
     if batch is None:
         state, batch = sample(method, state, keys.sample)
-    of_lane = jax.vmap(lambda m, lane, key, rows: learn(problem, m, lane, key, rows, state.step))
+    of_lane = jax.vmap(lambda m, lane, key, rows: update_lane(problem, m, lane, key, rows, state.step))
     pending, lanes = in_step_with_host(started.pending, of_lane(method, state.lanes, keys, batch))
     if not (method.learner.random_steps or len(demo_rows(problem, method).rows)):  # the replay is empty at first
         lanes = jax.vmap(tree_where)(state.replay.counts.any(axis=1), lanes, state.lanes)
@@ -98,7 +98,7 @@ def finish(
 ) -> tuple[LaneState, Stored]:
     """Return the lanes of `state` after the steps that they have `started`, and what the replay stores for them."""
     controller = controller_of(method, state.lanes.phase)
-    of_lane = jax.vmap(lambda m, lane, *moved: finish_step(problem, m, lane, *moved, step=state.step))
+    of_lane = jax.vmap(lambda m, lane, *moved: finish_lane(problem, m, lane, *moved, step=state.step))
     lanes, transition, sampleable = of_lane(method, state.lanes, *started, keys)
     return lanes, (transition, sampleable, controller)
 
@@ -109,7 +109,7 @@ def store(state: TrainState, lanes: LaneState, stored: Stored) -> TrainState:
 
 
 @jax.named_scope("act")
-def act_and_start(
+def start_lane(
     problem: Problem, method: Method, lane: LaneState, key: jax.Array, warmup: Warmup, step: jax.Array
 ) -> tuple[jax.Array, PendingStep]:
     """Return the action [a] of one lane, uniformly random during the `warmup`, and the step that it starts."""
@@ -136,7 +136,7 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
 
 
 @jax.named_scope("update")
-def learn(
+def update_lane(
     problem: Problem, method: Method, lane: LaneState, keys: StepKeys, sampled: TransitionBatch, step: jax.Array
 ) -> LaneState:
     """Return the lane after an update of the controller that acts at `step []`, from 0, on `sampled` transitions [B].
@@ -180,7 +180,7 @@ def batch_of(problem: Problem, learner: Learner, sampled: TransitionBatch, step:
 
 
 @jax.named_scope("physics")
-def finish_step(
+def finish_lane(
     problem: Problem,
     method: Method,
     lane: LaneState,

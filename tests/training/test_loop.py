@@ -73,7 +73,7 @@ def expert_acts(monkeypatch):
         return env.demonstrations.expert(jnp.where((moment.phase == RETURN) & (self.name == "r3l"), home, obs))
 
     monkeypatch.setattr(Method, "act", act)
-    monkeypatch.setattr(loop, "learn", lambda problem, method, lane, *rest: lane)
+    monkeypatch.setattr(loop, "update_lane", lambda problem, method, lane, *rest: lane)
 
 
 @pytest.mark.parametrize(("algo", "published"), [("oracle", 41.0), ("fbrl", 82.5), ("r3l", 240.0)])
