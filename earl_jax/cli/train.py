@@ -125,8 +125,9 @@ def _by_name(
     if env is None:
         raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
     chosen = Preset() if preset is None else named_preset(preset, env, steps)
-    task, rules, options = api.split_options(env, {**chosen.options, **options})
-    return task, algos.method_for(task, ALGO if algo is None else algo, **options), rules, chosen.seeds, chosen.schedule
+    task, setting, options = api.split_options(env, {**chosen.options, **options})
+    method = algos.method_for(task, ALGO if algo is None else algo, **options)
+    return task, method, setting, chosen.seeds, chosen.schedule
 
 
 def _refuse_changes(env: str | None, **given: Any) -> None:

@@ -54,14 +54,11 @@ class Table:
         metrics = {name: values[:, :count] for name, values in self.metrics.items()}
         return dataclasses.replace(self, steps=self.steps[:count], metrics=metrics)
 
-    def extended(self, evaluations: Sequence[tuple[int, Mapping[str, np.ndarray]]]) -> "Table":
-        """Return the table with further evaluations, each a step and metrics [N], in its columns or, without any, in theirs."""
-        if not evaluations:
-            return self
-        steps, rows = zip(*evaluations, strict=True)
-        earlier = self.metrics or {name: np.empty((len(values), 0)) for name, values in rows[0].items()}
-        metrics = {name: np.column_stack([values, *(row[name] for row in rows)]) for name, values in earlier.items()}
-        return dataclasses.replace(self, steps=np.append(self.steps, steps), metrics=metrics)
+    def extended(self, step: int, metrics: Mapping[str, np.ndarray]) -> "Table":
+        """Return the table with the `metrics [N]` of a further evaluation in its columns or, without any, in theirs."""
+        earlier = self.metrics or {name: np.empty((len(values), 0)) for name, values in metrics.items()}
+        longer = {name: np.column_stack([values, metrics[name]]) for name, values in earlier.items()}
+        return dataclasses.replace(self, steps=np.append(self.steps, step), metrics=longer)
 
     @classmethod
     def read(cls, path: Path, config: RunConfig) -> "Table":

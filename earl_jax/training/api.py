@@ -88,11 +88,11 @@ def train(
     require_object("task", env, Env)
     require_object("method", algo, Method)
     limit = TimeLimit.of(minutes)
-    task, rules, options = split_options(env, {**options, "setting": setting})
+    task, setting, options = split_options(env, {**options, "setting": setting})
     task = with_engine(task, engine)
     method = _method_of(task, algo, options)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
-    run = Run.resolve(RunConfig.from_objects(task, method, rules, seed_list(seeds), schedule), task, method)
+    run = Run.resolve(RunConfig.from_objects(task, method, setting, seed_list(seeds), schedule), task, method)
     if not isinstance(algo, str):
         _warn_of_scale(task, method)
     program = Program([run], devices)  # before the folder, so that an impossible plan creates none

@@ -42,8 +42,7 @@ from earl_jax.training.stopping import Stopped, StopRequest
 class Run:
     """One of the runs of a program, with the objects of its config.
 
-    `method` has leaves [n]. `folder`, if not None, and `listeners` receive the metrics; `table` contains them once the
-    logs are closed.
+    `method` has leaves [n]. `folder`, if not None, and `listeners` receive the metrics, which `table` contains.
     """
 
     config: RunConfig
@@ -69,24 +68,22 @@ class Run:
     def logged(self, step: int) -> Iterator[None]:
         """Open the logs of this run at `step`; metrics of later steps are dropped and logged again."""
         self.table = self.folder.table_until(step) if self.folder and first_host() else Table()
-        self._evaluations: list[tuple[int, dict[str, np.ndarray]]] = []
         unfinished = step < self.config.steps and first_host()
         folder = self.folder and dataclasses.replace(self.folder, config=self.config)  # resumed, it can be longer
         self._logs = open_logs(folder, self.listeners, step) if unfinished else []
         try:
             yield
         finally:
-            self.table = self.table.extended(self._evaluations)
             for log in self._logs:
                 OptionalLog(type(log).__name__, log).close()
 
     def add(self, step: int, metrics: dict[str, np.ndarray]) -> None:
-        """Write `metrics [n]` at `step` to the folder and to every log, and keep them for the table."""
+        """Write `metrics [n]` at `step` to the folder, to every log and to the table."""
         if self.folder and first_host():
             self.folder.append(step, metrics)
         for log in self._logs:
             log.log(step, {name: values.copy() for name, values in metrics.items()})
-        self._evaluations.append((step, metrics))
+        self.table = self.table.extended(step, metrics)
 
     def result(self, state: TrainState, engine: str) -> Result:
         """Return the result of this run, which must be the only one of its program, from the lanes in `state`."""
@@ -161,18 +158,11 @@ class Program:
             Stopped: SIGINT, SIGTERM or SIGHUP arrived; the runs with a folder have a checkpoint of the last complete chunk.
         """
         keep_programs()
-        plan = self.plan
         with StopRequest(limit) as stop, contextlib.ExitStack() as stack:
             init = self._initial_state()
             state = self._restored(init)
             bar = stack.enter_context(self._progress(progress))
-            bar.message(str(plan.memory))
-            if (folder := self._runs[0].folder) and first_host():
-                memory.warn_of_disk(plan.memory, folder.path)
-            if plan.engine != "kinematic":
-                auto = f", which auto takes for {counted(plan.lanes, 'lane')} on this {jax.default_backend()} machine"
-                is_auto = chosen_engine(self._runs[0].env) == "auto"
-                bar.message(f"physics engine: {plan.engine}{auto if is_auto else ''}")
+            self._announce(bar)
             if state is None:
                 with bar.working("first state"):
                     state = jax.block_until_ready(init())
@@ -208,6 +198,16 @@ class Program:
             show=show and first_host(),
             compile_time="up to some minutes with mjx" if plan.engine == "mjx" else "about 10 s",
         )
+
+    def _announce(self, bar: Progress) -> None:
+        """Tell the memory that the program needs, and its physics engine; warn if checkpoints need more disk than is free."""
+        plan, run = self.plan, self._runs[0]
+        bar.message(str(plan.memory))
+        if run.folder and first_host():
+            memory.warn_of_disk(plan.memory, run.folder.path)
+        if plan.engine != "kinematic":
+            auto = f", which auto takes for {counted(plan.lanes, 'lane')} on this {jax.default_backend()} machine"
+            bar.message(f"physics engine: {plan.engine}{auto if chosen_engine(run.env) == 'auto' else ''}")
 
     def _train_to_end(self, state: TrainState, step: int, bar: Progress, stop: StopRequest) -> TrainState:
         """Return the final state, or the one at a time limit, trained from `step`. Errors as `run`.
