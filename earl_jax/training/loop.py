@@ -1,7 +1,7 @@
 """The one reset-free training step, for every method and all lanes at once.
 
 The order is `start -> update -> finish -> store`, and for one lane `act -> env.start_step -> learn(prepare(sample)) ->
-env.finish_step -> rules`. Functions of one lane are vmapped. Between them the replay is read and written unbatched,
+env.finish_step -> rules`. `start` vmaps `start_lane`, and so on. Between them the replay is read and written unbatched,
 because it is one buffer. The gradient step of a control step samples only transitions stored before it, so that the
 host can simulate while the accelerator learns. The released code has the same delay, due to a prefetched dataset.
 """
@@ -22,7 +22,6 @@ from earl_jax.algos.method import (
     Moment,
     controller_count,
     controller_of,
-    kept_transitions,
     of_phase,
     select_controller,
 )
@@ -129,9 +128,8 @@ def sample(method: Method, state: TrainState, keys: jax.Array) -> tuple[TrainSta
     """Return the state and the transitions from which each lane learns in its next step, drawn with `keys [N]`."""
     learner, controller = method.learner, controller_of(method, state.lanes.phase)
     demo_share, size = jnp.asarray(learner.demo_share), learner.batch_size * learner.utd
-    most = kept_transitions(method) if state.replay.evicts and not learner.keep_demos else None
-    own = most is not None and state.step >= most
-    batch = replay_lib.sample(state.replay, keys, controller, size, demo_share, method.later_steps, own)
+    only_own = state.replay.evicts and not learner.keep_demos and state.step >= state.replay.kept
+    batch = replay_lib.sample(state.replay, keys, controller, size, demo_share, method.later_steps, only_own)
     return read_before_write(state, batch)
 
 
@@ -266,7 +264,7 @@ def _next_goals(
     fresh = method.next_goal(key, goals, phase, current, lane.method_state)
     goal_indices = tree_where(end.phase_ended, fresh, lane.goal_indices)
     goal_indices = goal_indices._replace(task=jnp.where(env_sets, requested, goal_indices.task))
-    return tree_where(goals.lacks(lane.goal_indices), lane.goal_indices, goal_indices)  # until the check
+    return tree_where(goals.lacks(lane.goal_indices), lane.goal_indices, goal_indices)  # `check_lanes` reports them
 
 
 def _moment(lane: LaneState, step: jax.Array) -> Moment:

@@ -101,6 +101,11 @@ class Replay(struct.PyTreeNode):
         """Whether a new transition replaces the oldest one."""
         return self.oldest.shape[1] > 0
 
+    @property
+    def kept(self) -> jax.Array:
+        """Number of a lane's own transitions, for all controllers together, that a replay keeps if it evicts others."""
+        return self.capacity - self.first_row - 1
+
     def successor(self, row: jax.Array) -> jax.Array:
         """Return the row [...] of the state that follows the state in `row [...]`."""
         return jnp.where(row + 1 == self.capacity, self.first_row, row + 1) if self.evicts else row + 1
@@ -108,8 +113,8 @@ class Replay(struct.PyTreeNode):
     def slot(self, number: jax.Array, lane: jax.Array, controller: jax.Array) -> jax.Array:
         """Return the places [...] in `index` of the `number`-th entries of the lists of `controller`, oldest first."""
         if self.evicts:
-            demos, size = self.demos[controller], self.capacity - self.first_row - 1
-            in_ring = demos + (self.oldest[lane, controller] + number - demos) % size
+            demos = self.demos[controller]
+            in_ring = demos + (self.oldest[lane, controller] + number - demos) % self.kept
             number = jnp.where(number < demos, number, in_ring)
         return jnp.where(controller == 0, number, len(self.index) - 1 - number)
 
@@ -178,8 +183,7 @@ def _without_row(replay: Replay, row: jax.Array) -> Replay:
     own = replay.counts - replay.demos
     oldest = replay.index[replay.slot(jnp.broadcast_to(replay.demos, own.shape), lane, controller), lane]
     evicted = (own > 0) & (oldest == row)
-    size = replay.capacity - replay.first_row - 1
-    return replay.replace(oldest=(replay.oldest + evicted) % size, counts=replay.counts - evicted)
+    return replay.replace(oldest=(replay.oldest + evicted) % replay.kept, counts=replay.counts - evicted)
 
 
 @jax.named_scope("sample")
@@ -190,12 +194,12 @@ def sample(
     size: int,
     demo_share: jax.Array,
     later_steps: float = 0,
-    own: jax.Array | bool = False,
+    only_own: jax.Array | bool = False,
 ) -> TransitionBatch:
     """Return `size` transitions for each lane, drawn uniformly with replacement from those listed for `controller [N]`.
 
-    A share `demo_share [N]` is drawn from the demonstrations alone. Where `own []` is true, the rest is drawn from own
-    transitions alone, if there are any. At its first step, a controller without listed transitions samples those of the
+    A share `demo_share [N]` is drawn from the demonstrations alone. Where `only_own []` is true, the rest is drawn from
+    own transitions alone, if there are any. At its first step, a controller without listed transitions samples those of the
     other controller. A lane's draw depends only on its own key and counts, not on the number of lanes. With
     `later_steps`, the batch has states `later` that many steps later on average.
     """
@@ -203,7 +207,7 @@ def sample(
     controller = jnp.where(replay.counts[lanes[:, 0], controller] > 0, controller, 1 - controller)
     draw = jax.vmap(_draw, (0, 0, 0, 0, 0, None))
     counts, demos = replay.counts[lanes[:, 0], controller], replay.demos[controller]
-    left_out = jnp.where(own & (counts > demos), demos, 0)
+    left_out = jnp.where(only_own & (counts > demos), demos, 0)
     listed = draw(keys, counts, demos, left_out, demo_share, size)
     batch = _read(replay, replay.index[replay.slot(listed, lanes, controller[:, None]), lanes])
     if not later_steps:

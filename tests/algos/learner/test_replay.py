@@ -107,7 +107,7 @@ def test_a_replay_with_a_capacity_keeps_its_demonstrations():
 def test_demonstrations_are_left_out_of_a_sample_of_own_transitions_if_there_are_any_but_not_out_of_their_share(own):
     buffer = fill_replay([(0, 0)] * own, [(True, True)] * own, buffer=with_demonstrations(3))
     for share, rest in ((0, set()), (0.5, {0, 1}), (1, {0, 1})):
-        batch = sample(buffer, KEYS, np.zeros(2, np.int32), DRAWS, np.full(2, share, np.float32), own=np.True_)
+        batch = sample(buffer, KEYS, np.zeros(2, np.int32), DRAWS, np.full(2, share, np.float32), only_own=np.True_)
         expected = rest | ({3, 4, 5} if share < 1 else set()) if own else {0, 1}
         assert set(np.asarray(batch.row).ravel().tolist()) == expected
 
