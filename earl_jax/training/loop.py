@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from earl_jax.algos.goals import GoalIndices
 from earl_jax.algos.learner import replay as replay_lib
-from earl_jax.algos.learner.base import Batch, Learner
+from earl_jax.algos.learner.base import Batch
 from earl_jax.algos.learner.replay import Transition, TransitionBatch, TransitionFlags
 from earl_jax.algos.method import (
     TASK,
@@ -143,14 +142,7 @@ def update_lane(
     """
     env, phase = problem.env, lane.phase
     sampled = method.prepare(keys.prepare, env, problem.goals, sampled, phase, lane.method_state)
-    require_tuple(f"{method.name}: prepare", sampled, TransitionBatch)
-    size = sampled.action.shape[:1]
-    if sampled.goal is not None:
-        goal = np.shape(problem.goals.table)[1:]
-        require_result(f"{method.name}: the goal from prepare", sampled.goal, (*size, *goal), "number")
-    batch, controller = batch_of(problem, method.learner, sampled, step), controller_of(method, phase)
-    for name, shape in {"obs": (*size, env.observation_size), "reward": size, "terminal": size}.items():
-        require_result(f"{method.name}: the {name} from prepare", getattr(batch, name), shape, "number")
+    batch, controller = batch_of(problem, method, sampled, step), controller_of(method, phase)
     agent = select_controller(lane.agent, controller)
     learnt = method.learn(keys.learn, env, agent, batch, phase, lane.method_state)
     known = (agent, lane.method_state, lane.counters.diagnostics)
@@ -162,19 +154,26 @@ def update_lane(
     return tree_where(lane.env_state.done > 0, lane, updated) if env.has_absorbing_state else updated
 
 
-def batch_of(problem: Problem, learner: Learner, sampled: TransitionBatch, step: jax.Array) -> Batch:
-    """Return the `sampled` transitions in the form that a learner receives."""
-    flags = sampled.flags
+def batch_of(problem: Problem, method: Method, sampled: TransitionBatch, step: jax.Array) -> Batch:
+    """Return the transitions that `prepare` returned as the learner receives them; an InputError if they are invalid."""
+    require_tuple(f"{method.name}: prepare", sampled, TransitionBatch)
+    env, flags, size = problem.env, sampled.flags, sampled.action.shape[:1]
     goal = jnp.asarray(problem.goals.table)[flags.goal] if sampled.goal is None else sampled.goal
-    return Batch(
+    require_result(f"{method.name}: the goal from prepare", goal, (*size, env.goal_size), "number")
+    batch = Batch(
         obs=jnp.concatenate([sampled.state, goal], axis=-1),
         action=sampled.action,
         reward=sampled.reward,
-        terminal=flags.reached | flags.absorbed | (flags.timeout & ~jnp.asarray(learner.timeout_bootstrap, bool)),
+        terminal=flags.reached
+        | flags.absorbed
+        | (flags.timeout & ~jnp.asarray(method.learner.timeout_bootstrap, bool)),
         next_obs=jnp.concatenate([sampled.next_state, goal], axis=-1),
         demonstrated=sampled.demonstrated,
         step=step,
     )
+    for name, shape in {"obs": (*size, env.observation_size), "reward": size, "terminal": size}.items():
+        require_result(f"{method.name}: the {name} from prepare", getattr(batch, name), shape, "number")
+    return batch
 
 
 @jax.named_scope("physics")

@@ -263,5 +263,5 @@ def test_time_outs_are_terminal_unless_bootstrapped(problem):
     batch = make_batch(*np.zeros((2, 4, 6)))
     flags = batch.flags._replace(reached=np.array([1, 0, 1, 0], bool), timeout=np.array([0, 1, 0, 0], bool))
     for bootstrap, expected in ((False, [True, True, True, False]), (True, [True, False, True, False])):
-        learner = make_algo("naive", timeout_bootstrap=bootstrap).learner
-        assert loop.batch_of(problem, learner, batch._replace(flags=flags), 0).terminal.tolist() == expected
+        method = make_algo("naive", timeout_bootstrap=bootstrap)
+        assert loop.batch_of(problem, method, batch._replace(flags=flags), 0).terminal.tolist() == expected
