@@ -13,7 +13,7 @@ from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import Plan, make_plan, per_lane
 from earl_jax.training.scan import run_steps
-from earl_jax.training.state import Problem, TrainState, Warmup
+from earl_jax.training.state import Problem, TrainState
 
 
 @package_types()
@@ -72,9 +72,8 @@ def _window(plan: Plan, method: Method, state: TrainState) -> tuple[TrainState, 
     chunks = plan.problem.protocol.eval_every // plan.chunk_steps
 
     def chunk(carry, _):
-        warmup: Warmup = carry.step < plan.random_steps
-        if plan.random_steps == 0 or plan.steps <= plan.random_steps:
-            warmup = plan.random_steps > 0
+        has_both = 0 < plan.random_steps < plan.steps
+        warmup = carry.step < plan.random_steps if has_both else plan.random_steps > 0
         return run_steps(plan.problem, method, carry, plan.chunk_steps, warmup), None
 
     return evaluate_lanes(plan.problem, method, jax.lax.scan(chunk, state, length=chunks)[0])
