@@ -33,9 +33,9 @@ def _prepare(env: str, algo: str, lanes: int, chunk: int, options: tuple[str, ..
     """Return a function that trains for a chunk, and the seconds of its compilation; it has run once."""
     from benchmarks.speed.training import compile_steps, make_training
     from earl_jax.cli.arguments import parse_options
-    from earl_jax.training.program_cache import keep_programs
+    from earl_jax.training.program_cache import use_program_cache
 
-    keep_programs()
+    use_program_cache()
     problem, method, state = make_training(env, algo, lanes, 100_000, **parse_options(options))
     advance, _, compile_s = compile_steps(problem, method, [state], chunk)
     advance()

@@ -26,7 +26,7 @@ def folder() -> Path | None:
     return None if caches.startswith("~") else Path(caches, "earl_jax", "programs")  # a user of a container has no home
 
 
-def keep_programs() -> None:
+def use_program_cache() -> None:
     """Configure jax to store compiled programs in `folder()`, unless another folder is configured.
 
     `JAX_ENABLE_COMPILATION_CACHE=false` disables the cache. The key of a program covers its code, shapes, jax version

@@ -31,7 +31,7 @@ from earl_jax.training.evaluation import evaluate_lanes
 from earl_jax.training.init import check_lanes, init_train_state
 from earl_jax.training.plan import join_lanes, make_plan, per_lane
 from earl_jax.training.policy import policies_of
-from earl_jax.training.program_cache import keep_programs
+from earl_jax.training.program_cache import use_program_cache
 from earl_jax.training.result import Result
 from earl_jax.training.scan import run_steps
 from earl_jax.training.state import LaneState, Problem, TrainState, seed_keys
@@ -157,7 +157,7 @@ class Program:
         Raises:
             Stopped: SIGINT, SIGTERM or SIGHUP arrived; the runs with a folder have a checkpoint of the last complete chunk.
         """
-        keep_programs()
+        use_program_cache()
         with StopRequest(limit) as stop, contextlib.ExitStack() as stack:
             init = self._initial_state()
             state = self._restored(init)
@@ -218,14 +218,14 @@ class Program:
         check_lanes(plan.problem, self._method, state)
         if step == plan.steps:
             bar.message(f"all {step:,} steps were trained before")
-            self._record_length()
+            self._record_engine_and_steps()
         stopping = stop.requested
         while step < plan.steps and not stopping:
             state = self._train_chunk(state, step, bar)
             step += plan.chunk_steps
             stop.check()
             if step == start + plan.chunk_steps:
-                self._record_length()
+                self._record_engine_and_steps()
             is_evaluated = step % plan.problem.protocol.eval_every == 0
             if is_evaluated:
                 state = self._evaluated(state, step, bar)
@@ -239,7 +239,7 @@ class Program:
             raise Stopped(stop.number, step, folder and folder.path, state)
         return state
 
-    def _record_length(self) -> None:
+    def _record_engine_and_steps(self) -> None:
         """Write length and engine of the runs to their configs, once the first steps of all runs have succeeded."""
         for run in self._runs:
             if run.folder and first_host():

@@ -67,7 +67,7 @@ def test_a_damaged_program_is_removed(tmp_path, damage):
 
 def test_the_user_chooses_the_folder(monkeypatch):
     assert jax.config.jax_compilation_cache_dir == str(CACHE), "set by conftest"
-    program_cache.keep_programs()
+    program_cache.use_program_cache()
     assert jax.config.jax_compilation_cache_dir == str(CACHE), "and left alone by training"
     monkeypatch.setenv("EARL_JAX_CACHE", "/elsewhere")
     assert program_cache.folder() == Path("/elsewhere")
@@ -82,5 +82,5 @@ def test_a_user_without_a_home_trains_without_a_cache(monkeypatch):
     monkeypatch.setattr(pwd, "getpwuid", Mock(side_effect=KeyError))
     config = Mock(jax_compilation_cache_dir=None)
     monkeypatch.setattr(jax, "config", config)
-    program_cache.keep_programs()
+    program_cache.use_program_cache()
     config.update.assert_not_called()
