@@ -40,18 +40,18 @@ def make_algo(name: str, *, learner: str | Learner | None = None, **options) -> 
     require_object("learner", base, Learner)
     if isinstance(base, str):
         base = preset_learner(method, LEARNERS.get(base))
-    shared = {field.name: field for field in dataclasses.fields(base)}
-    own = {field.name: field for field in dataclasses.fields(method) if field.name != "learner"}
-    known = own | shared
+    of_learner = {field.name: field for field in dataclasses.fields(base)}
+    of_method = {field.name: field for field in dataclasses.fields(method) if field.name != "learner"}
+    known = of_method | of_learner
     for option, value in options.items():
         if option not in known:
             names = [*sorted({*known, "learner"}), *FIELDS]
             raise _unknown_option(name, option, value, names, None if learner is None else base.name)
     options = {option: _leaf(known[option], value) for option, value in options.items()}
-    changed = {option: value for option, value in options.items() if option in shared}
-    check(f"method {name!r}", type(base), changed)
-    rest = {option: value for option, value in options.items() if option in own}
-    return ALGOS.make(name, learner=base.replace(**changed), **rest)
+    learner_options = {option: value for option, value in options.items() if option in of_learner}
+    method_options = {option: value for option, value in options.items() if option in of_method}
+    check(f"method {name!r}", type(base), learner_options)
+    return ALGOS.make(name, learner=base.replace(**learner_options), **method_options)
 
 
 def _unknown_option(name: str, option: str, value: Any, known: Sequence[str], learner: str | None) -> InputError:

@@ -91,8 +91,8 @@ class Registry:
         target = self._table.get(name) if isinstance(name, str) else None
         candidates = self._entry_points() if target is None else self._conflicting_entry_points
         points = [point for point in candidates if point.name == name]
-        own = [] if target is None else [target.__module__ if isinstance(target, type) else "earl_jax"]
-        owners = own + [_owner(point) for point in points]
+        owners = [] if target is None else [target.__module__ if isinstance(target, type) else "earl_jax"]
+        owners += [_owner(point) for point in points]
         if len(owners) > 1:
             raise InputError(
                 f"{self.noun} {name!r} is claimed by {' and '.join(owners)}; rename the entry point or uninstall one"
@@ -100,8 +100,8 @@ class Registry:
         if points:
             return points[0], owners[0]
         if target is None:
-            own = f"your own: --import FILE or earl_jax.register_{self.kind}, see docs/extending.md"
-            raise InputError(f"unknown {self.noun} {brief(name)}; {choices(name, self.names())} ({own})")
+            yours = f"your own: --import FILE or earl_jax.register_{self.kind}, see docs/extending.md"
+            raise InputError(f"unknown {self.noun} {brief(name)}; {choices(name, self.names())} ({yours})")
         return metadata.EntryPoint(name, target, self.kind) if isinstance(target, str) else target, owners[0]
 
     def _checked(self, name: str, factory: Any, source: str) -> type[Any]:
