@@ -19,26 +19,6 @@ HELP = ("asked", "enforced", "budget")
 """Keys of `info` in a state of a `HelpBudget`."""
 
 
-def count_diverged(metrics: Mapping[str, np.ndarray]) -> int:
-    """Return the number of seeds in `metrics`, arrays [N, E], that have diverged by the last evaluation.
-
-    In published runs, which have no metric `diverged`, only the loss shows divergence.
-    """
-    marks = [metrics[DIVERGED][:, -1] > 0] if DIVERGED in metrics else []
-    marks += [~np.isfinite(metrics["critic_loss"][:, -1])] if "critic_loss" in metrics else []
-    return int(np.any(marks, axis=0).sum())
-
-
-def mostly_faults(faults: np.ndarray, steps: int) -> np.ndarray:
-    """Return whether more than half of the `steps` of each lane were `faults [N]`, bool [N]."""
-    return faults > steps / 2
-
-
-def diverged_text(diverged: int, seeds: int) -> str:
-    """Return `, 2 of 5 diverged`, or nothing if no seed has diverged."""
-    return f", {diverged} of {seeds} diverged" if diverged else ""
-
-
 class Counters(struct.PyTreeNode):
     """Counts of one lane since its first step.
 
@@ -93,3 +73,23 @@ def continuing(
         metrics |= {f"help/{name}": env_state.info[name] for name in HELP}
         metrics[OVER] = env_state.done
     return counters.replace(total_reward=total, window_reward=jnp.zeros_like(total)), metrics
+
+
+def count_diverged(metrics: Mapping[str, np.ndarray]) -> int:
+    """Return the number of seeds in `metrics`, arrays [N, E], that have diverged by the last evaluation.
+
+    In published runs, which have no metric `diverged`, only the loss shows divergence.
+    """
+    marks = [metrics[DIVERGED][:, -1] > 0] if DIVERGED in metrics else []
+    marks += [~np.isfinite(metrics["critic_loss"][:, -1])] if "critic_loss" in metrics else []
+    return int(np.any(marks, axis=0).sum())
+
+
+def mostly_faults(faults: np.ndarray, steps: int) -> np.ndarray:
+    """Return whether more than half of the `steps` of each lane were `faults [N]`, bool [N]."""
+    return faults > steps / 2
+
+
+def diverged_text(diverged: int, seeds: int) -> str:
+    """Return `, 2 of 5 diverged`, or nothing if no seed has diverged."""
+    return f", {diverged} of {seeds} diverged" if diverged else ""
