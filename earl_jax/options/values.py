@@ -72,7 +72,7 @@ def require(name: str, value: Any, interval: Interval) -> None:
 
 
 def require_object(noun: str, given: Any, kind: type, or_name: bool = True) -> None:
-    """Raise an InputError unless `given` is an object of `kind` whose class has a `name`, or with `or_name` a name."""
+    """Raise an InputError unless `given` is an object of `kind`, or a name if `or_name`; its class must set its `name`."""
     if not isinstance(given, kind) and not (or_name and isinstance(given, str)):
         call = f"; did you mean {given.__name__}()?" if isinstance(given, type) else ""
         wanted = f"{'a name or ' * or_name}an object of {kind.__name__}"

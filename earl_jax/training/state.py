@@ -22,7 +22,7 @@ MAP_BINS = 64
 
 
 Warmup = bool | jax.Array
-"""Whether steps act uniformly at random and do not learn. With a traced flag, bool [], updates are made and dropped."""
+"""Whether steps act uniformly at random and do not learn: `True` skips updates, a traced flag, bool [], drops them."""
 
 
 class LaneState(struct.PyTreeNode):
