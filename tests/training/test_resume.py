@@ -9,6 +9,7 @@ import pytest
 
 import earl_jax
 from earl_jax import HelpBudget
+from earl_jax.algos import SAC
 from earl_jax.algos.naive import Naive
 from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.errors import InputError
@@ -177,9 +178,10 @@ def test_an_earlier_run_is_removed_on_request_only_and_after_the_new_one_is_acce
     for invalid in ({"steps": 50}, {"logs": ["abacus"]}, {"discount": "high"}, {"devices": 1000}):
         with unchanged(out), pytest.raises(ValueError, match=r".+"):
             tiny_train("naive", out=out, overwrite=True, **invalid)
-    odd = type("Odd", (Naive,), {"name": "odd", "ends_phase": lambda *_: 2})()
-    with unchanged(out), pytest.raises(ValueError, match="what ends_phase returns must be bool"):
-        earl_jax.train(Meadow(), odd, seeds=1, steps=40, eval_every=40, out=out, overwrite=True)
+    for name, function in {"ends_phase": lambda *_: 2, "learn": lambda *_: None}.items():
+        odd = type("Odd", (Naive,), {"name": "odd", name: function})(SAC(random_steps=40))
+        with unchanged(out), pytest.raises(ValueError, match=f"odd: .*{name}"):
+            earl_jax.train(Meadow(), odd, seeds=1, steps=80, eval_every=40, out=out, overwrite=True)
     result = tiny_train("naive", out=out, overwrite=True, seeds=[5, 6])
     assert "removed from the earlier run" in capsys.readouterr().err
     assert RunFolder.open(out).config.seeds == result.seeds == (5, 6)
