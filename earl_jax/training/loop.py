@@ -160,13 +160,12 @@ def batch_of(problem: Problem, method: Method, sampled: TransitionBatch, step: j
     env, flags, size = problem.env, sampled.flags, sampled.action.shape[:1]
     goal = jnp.asarray(problem.goals.table)[flags.goal] if sampled.goal is None else sampled.goal
     require_result(f"{method.name}: the goal from prepare", goal, (*size, env.goal_size), "number")
+    cut_off = flags.timeout & ~jnp.asarray(method.learner.timeout_bootstrap, bool)
     batch = Batch(
         obs=jnp.concatenate([sampled.state, goal], axis=-1),
         action=sampled.action,
         reward=sampled.reward,
-        terminal=flags.reached
-        | flags.absorbed
-        | (flags.timeout & ~jnp.asarray(method.learner.timeout_bootstrap, bool)),
+        terminal=flags.reached | flags.absorbed | cut_off,
         next_obs=jnp.concatenate([sampled.next_state, goal], axis=-1),
         demonstrated=sampled.demonstrated,
         step=step,
