@@ -138,7 +138,7 @@ def read(path: Path, window: Window = DEFAULT) -> Curves:
     """Return the curves of one run folder, up to its last complete evaluation.
 
     Raises:
-        ValueError: the folder holds no run, or one without an evaluation, with missing rows or a score that is none.
+        ValueError: the folder holds no run, or one without an evaluation, with missing rows, or with a success outside [0, 1].
     """
     folder = RunFolder.open(path)
     table = folder.table()
