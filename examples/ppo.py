@@ -90,7 +90,7 @@ def learn(network, params, moments, batch, key):
 
 
 def live(env, protocol, key, windows, rollout=ROLLOUT):
-    """Return the metrics [E] of one life of so many windows of `protocol.eval_every` steps."""
+    """Return the metrics [E] of one life of so many windows of `protocol.eval_every` steps, a multiple of `rollout`."""
     network = ActorCritic(env.action_size)
     life_key, network_key, key = jax.random.split(key, 3)
     state = init(env, protocol, life_key, ATTEMPT_STEPS)
