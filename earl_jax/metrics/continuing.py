@@ -8,7 +8,7 @@ import numpy as np
 from flax import struct
 
 from earl_jax.envs import Env, State
-from earl_jax.metrics.phase_stats import PhaseStats, init_phase_stats
+from earl_jax.metrics.phase_stats import PhaseStats, init_phase_stats, phase_metrics
 
 DIVERGED = "diverged"
 """The metric that is 1 in a lane with a loss or a parameter that is not finite, else 0."""
@@ -51,7 +51,7 @@ def init_counters(env: Env, env_state: State, diagnostics: Iterable[str] = ()) -
 
 
 def continuing(
-    counters: Counters, env_state: State, step: jax.Array, window: jax.Array | int
+    counters: Counters, env: Env, state: State, step: jax.Array, window: jax.Array | int, alive_steps: int, phases: int
 ) -> tuple[Counters, dict[str, jax.Array]]:
     """Return the counters with a new window, and one lane's metrics after `step` steps, of which `window` are recent.
 
@@ -59,20 +59,22 @@ def continuing(
     `continuing/recent` is the same since the last evaluation. `interventions`, `faults` (resets after a broken
     simulation, which count as interventions) and `reached` are counts since the first step. In a `HelpBudget`
     environment, `help/asked` and `help/enforced` count its own interventions, `help/budget` is the remaining budget,
-    and `help/over` is 1 if the lifetime has ended.
+    and `help/over` is 1 if the lifetime has ended. `phase_metrics` returns the others.
     """
     total = counters.total_reward + counters.window_reward
     metrics = {
-        "continuing/reward": total / jnp.asarray(step, jnp.float32),
-        "continuing/recent": counters.window_reward / jnp.asarray(window, jnp.float32),
+        "continuing/reward": total / jnp.maximum(step, 1).astype(jnp.float32),
+        "continuing/recent": counters.window_reward / jnp.maximum(window, 1).astype(jnp.float32),
         "interventions": counters.interventions,
         "faults": counters.faults,
         "reached": counters.reached,
     }
-    if env_state.info.keys() >= {*HELP}:
-        metrics |= {f"help/{name}": env_state.info[name] for name in HELP}
-        metrics[OVER] = env_state.done
-    return counters.replace(total_reward=total, window_reward=jnp.zeros_like(total)), metrics
+    if state.info.keys() >= {*HELP}:
+        metrics |= {f"help/{name}": state.info[name] for name in HELP}
+        metrics[OVER] = state.done
+    stats, of_phases = phase_metrics(counters.phases, step, alive_steps, phases, env.sparse)
+    counters = counters.replace(total_reward=total, window_reward=jnp.zeros_like(total), phases=stats)
+    return counters, metrics | of_phases
 
 
 def count_diverged(metrics: Mapping[str, np.ndarray]) -> int:

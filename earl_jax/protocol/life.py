@@ -15,7 +15,6 @@ from flax import struct
 from earl_jax.envs import Env, State
 from earl_jax.envs.checks import check_task
 from earl_jax.metrics.continuing import Counters, continuing, init_counters
-from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require, require_object
 from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, count_step, reset_where
@@ -217,8 +216,6 @@ def evaluate(
     return phases.
     """
     metrics = protocol.deployed(env, policy, state.key)
-    step, window = jnp.maximum(state.step, 1), jnp.maximum(state.step - state.evaluated_at, 1)
-    counters, of_life = continuing(state.counters, state.env_state, step, window)
-    phases, of_phases = phase_metrics(counters.phases, state.step, protocol.alive_steps, DIRECTIONS, env.sparse)
-    state = state.replace(evaluated_at=jnp.copy(state.step), counters=counters.replace(phases=phases))
-    return state, {**metrics, **of_life, **of_phases}
+    window, alive = state.step - state.evaluated_at, protocol.alive_steps
+    counters, of_life = continuing(state.counters, env, state.env_state, state.step, window, alive, DIRECTIONS)
+    return state.replace(evaluated_at=jnp.copy(state.step), counters=counters), {**metrics, **of_life}

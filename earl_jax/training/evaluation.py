@@ -14,7 +14,6 @@ from earl_jax.envs.state import all_finite
 from earl_jax.errors import InputError
 from earl_jax.metrics.continuing import DIVERGED, continuing
 from earl_jax.metrics.deployed import deployed
-from earl_jax.metrics.phase_stats import phase_metrics
 from earl_jax.options.forks import require_jax
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import EPISODES, SEED, require
@@ -36,13 +35,12 @@ def _evaluate_lane(
 ) -> tuple[LaneState, dict[str, jax.Array]]:
     protocol, policy = problem.protocol, Policy.of(problem.env, method, lane)
     metrics = protocol.deployed(without_budget(problem.env), policy, jax.random.fold_in(lane.key, step))
-    counters, of_life = continuing(lane.counters, lane.env_state, step, protocol.eval_every)
-    count, sparse = len(method.phases), problem.env.sparse
-    phases, of_phases = phase_metrics(counters.phases, step, protocol.alive_steps, count, sparse)
+    window, alive, phases = protocol.eval_every, protocol.alive_steps, len(method.phases)
+    counters, of_life = continuing(lane.counters, problem.env, lane.env_state, step, window, alive, phases)
     finite = all_finite((lane.agent, lane.method_state, counters.diagnostics))
-    metrics |= {**of_life, **of_phases, DIVERGED: (~finite).astype(jnp.int32)}
+    metrics |= {**of_life, DIVERGED: (~finite).astype(jnp.int32)}
     metrics |= _own_metrics(method, lane, {*metrics, *KEYS})
-    return lane.replace(counters=counters.replace(phases=phases)), metrics
+    return lane.replace(counters=counters), metrics
 
 
 def _own_metrics(method: Method, lane: LaneState, taken: set[str]) -> dict[str, jax.Array]:
