@@ -6,7 +6,6 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from earl_jax.algos import method_for
 from earl_jax.envs import resolved_engine
 from earl_jax.errors import InputError
 from earl_jax.options import imports
@@ -21,9 +20,9 @@ from earl_jax.runs.logging import check_logs
 from earl_jax.runs.policies import policies_step
 from earl_jax.sweeps import grid
 from earl_jax.sweeps.processes import cause_of
-from earl_jax.training import memory, split_options
-from earl_jax.training.api import require_checkpoint
-from earl_jax.training.init import demo_rows
+from earl_jax.training import memory
+from earl_jax.training.api import make_run, require_checkpoint
+from earl_jax.training.demos import demo_rows
 from earl_jax.training.plan import program_structure
 from earl_jax.training.runner import Program, Run
 from earl_jax.training.state import Problem
@@ -122,10 +121,8 @@ def planned_run(spec: grid.RunSpec, out: Path, logs: Sequence[str] = ()) -> Plan
 def resolved_run(spec: grid.RunSpec) -> Run:
     """Return the objects of a run of a grid, after the checks that need no folder. Errors as `plan`."""
     try:
-        env, setting, options = split_options(spec.env, spec.options)
-        method = method_for(env, spec.algo, **options)
-        run = Run.resolve(RunConfig.from_objects(env, method, setting, spec.seeds, spec.schedule), env, method)
-        demo_rows(Problem(env, run.protocol), run.method)
+        run = make_run(spec.env, spec.algo, spec.options, spec.seeds, spec.schedule, engine=None)
+        demo_rows(Problem(run.env, run.protocol), run.method)
     except InputError as error:
         raise InputError(f"{spec.name}: {error}") from error
     return run

@@ -88,13 +88,10 @@ def train(
     require_object("task", env, Env)
     require_object("method", algo, Method)
     limit = TimeLimit.of(minutes)
-    task, setting, options = split_options(env, {**options, "setting": setting})
-    task = with_engine(task, engine)
-    method = _method_of(task, algo, options)
     schedule = Schedule(steps, eval_every, eval_episodes, checkpoint_every)
-    run = Run.resolve(RunConfig.from_objects(task, method, setting, seed_list(seeds), schedule), task, method)
+    run = make_run(env, algo, {**options, "setting": setting}, seeds, schedule, engine)
     if not isinstance(algo, str):
-        _warn_of_scale(task, method)
+        _warn_of_scale(run.env, algo)
     program = Program([run], devices)  # before the folder, so that an impossible plan creates none
     if overwrite:
         program.trace()  # an error in a function of the task or the method leaves the earlier run as it is
@@ -103,15 +100,18 @@ def train(
     return _execute(program, run, progress, limit)
 
 
-def _method_of(env: Env, algo: str | Method, options: dict[str, Any]) -> Method:
-    """Return the method named `algo` for `env` with its `options`, or `algo` if it is an object. Errors as `train`."""
-    if isinstance(algo, str):
-        return method_for(env, algo, **options)
-    if options:
-        raise InputError(
-            f"options {', '.join(options)} go with a method's name; this method is an object: use .replace(...)"
-        )
-    return algo
+def make_run(
+    env: str | Env, algo: str | Method, options: dict[str, Any], seeds: Any, schedule: Schedule, engine: str | None
+) -> Run:
+    """Return the run that arguments of `train` describe, without a folder and logs. Errors as `train`."""
+    task, setting, rest = split_options(env, options)
+    task = with_engine(task, engine)
+    if rest and not isinstance(algo, str):
+        fix = "go with a method's name; this method is an object: use .replace(...)"
+        raise InputError(f"options {', '.join(rest)} {fix}")
+    method = method_for(task, algo, **rest) if isinstance(algo, str) else algo
+    config = RunConfig.from_objects(task, method, setting, seed_list(seeds), schedule)
+    return Run.resolve(config, task, method)
 
 
 def _warn_of_scale(env: Env, method: Method) -> None:
