@@ -262,7 +262,7 @@ def split_options(env: str | Env, options: dict[str, Any]) -> tuple[Env, Setting
             fix = f"dataclasses.replace({owner}, {name}={value!r})"
             raise InputError(f"{name} is an option of the {owner}, which is an object here: pass {fix}")
     for other in SETTINGS.values():
-        for name in _taken(dict(rest), other):
+        if name := min(_taken(dict(rest), other), default=None):
             raise InputError(f"{name} is an option of the setting {other.name!r}, but the setting is {setting.name!r}")
     reserved = RESERVED & set(rest)
     if reserved:
