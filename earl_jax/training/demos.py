@@ -7,7 +7,7 @@ import numpy as np
 from earl_jax.algos.goals import trajectories
 from earl_jax.algos.learner.cloning import DemoSteps
 from earl_jax.algos.method import BACKWARD, FORWARD, Method, PhaseDemos
-from earl_jax.envs import without_budget
+from earl_jax.envs import Env, without_budget
 from earl_jax.errors import InputError
 from earl_jax.training.state import Problem
 
@@ -31,6 +31,13 @@ class DemoRows(NamedTuple):
         own = self.controllers == controller
         return np.repeat(self.rows[own], self.copies[own])
 
+    def steps(self, goals: np.ndarray) -> DemoSteps | None:
+        """Return the steps that every controller clones, under goals of the table `goals [M, g]`; None if there are none."""
+        if not len(self.rows):
+            return None
+        obs = np.concatenate([self.states[self.rows], goals[self.goals]], axis=-1)
+        return DemoSteps(obs, self.actions, self.controllers)
+
 
 def demo_rows(problem: Problem, method: Method) -> DemoRows:
     """Return the demonstrations in the initial replay of `method`: no rows if the task lacks the method's directions.
@@ -49,7 +56,7 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
             f"{method.name} needs demonstrated states that can be goals, but a state of {env.name}{helped} has "
             f"{env.state_size} numbers and a goal has {env.goal_size}"
         )
-    parts, all_states, first, uses = [], [], 0, _uses(method)
+    parts, all_states, first, uses = [], [], 0, used_demos(env, method)
     for direction in env.demonstrations.directions:
         used = [(controller, demos) for controller, demos in uses if demos.direction == direction]
         if not used:
@@ -70,24 +77,16 @@ def demo_rows(problem: Problem, method: Method) -> DemoRows:
     return DemoRows(np.concatenate(all_states), *fields)
 
 
-def _uses(method: Method) -> list[tuple[int, PhaseDemos]]:
-    """Return the controllers of `method` with their demonstrations: those of their phases or, with `all_demos`, all."""
+def used_demos(env: Env, method: Method) -> list[tuple[int, PhaseDemos]]:
+    """Return the controllers of `method` with the demonstrations of `env` for their phases or, with `all_demos`, all."""
     uses = list(dict.fromkeys((phase.controller, demos) for phase in method.phases for demos in phase.demos))
-    if not method.learner.all_demos:
-        return uses
-    own = {(controller, demos.direction) for controller, demos in uses}
-    controllers = dict.fromkeys(controller for controller, _ in uses)
-    every = [(controller, demos) for controller in controllers for demos in (FORWARD, BACKWARD)]
-    return uses + [use for use in every if (use[0], use[1].direction) not in own]
-
-
-def demo_steps(problem: Problem, method: Method) -> DemoSteps | None:
-    """Return the demonstrated steps of `method`, once for each controller, or None. Errors as `demo_rows`."""
-    demos = demo_rows(problem, method)
-    if not len(demos.rows):
-        return None
-    obs = np.concatenate([demos.states[demos.rows], problem.goals.table[demos.goals]], axis=-1)
-    return DemoSteps(obs, demos.actions, demos.controllers)
+    if method.learner.all_demos:
+        own = {(controller, demos.direction) for controller, demos in uses}
+        controllers = dict.fromkeys(controller for controller, _ in uses)
+        every = [(controller, demos) for controller in controllers for demos in (FORWARD, BACKWARD)]
+        uses += [use for use in every if (use[0], use[1].direction) not in own]
+    directions = env.demonstrations.directions
+    return [(controller, demos) for controller, demos in uses if demos.direction in directions]
 
 
 def _goal_indices(problem: Problem, goals: np.ndarray) -> np.ndarray:

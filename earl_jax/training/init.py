@@ -15,7 +15,7 @@ from earl_jax.errors import InputError, brief
 from earl_jax.metrics.continuing import init_counters
 from earl_jax.protocol import Rules
 from earl_jax.runs.hosts import gathered
-from earl_jax.training.demos import demo_rows, demo_steps
+from earl_jax.training.demos import demo_rows
 from earl_jax.training.ordering import unfolded
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
 
@@ -70,7 +70,8 @@ def _init_agents(problem: Problem, method: Method, key: jax.Array) -> Any:
         return method.learner.init(controller_key, env.observation_size, env.action_size, method.entropy_free_pairs)
 
     agents = jax.vmap(init_agent)(jax.random.split(key, controller_count(method)))
-    pretrained = method.pretrain(jax.random.fold_in(key, 1), env, agents, demo_steps(problem, method))
+    demos = demo_rows(problem, method).steps(problem.goals.table)
+    pretrained = method.pretrain(jax.random.fold_in(key, 1), env, agents, demos)
     require_like(f"{method.name}: pretrain must return the agent", pretrained, agents)
     return pretrained
 

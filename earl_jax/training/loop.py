@@ -29,7 +29,7 @@ from earl_jax.envs.checks import require_like, require_result, require_tuple
 from earl_jax.envs.state import tree_where
 from earl_jax.physics import PendingStep
 from earl_jax.protocol import Attempt, StepEnd, advance_rules, count_step, reset_where
-from earl_jax.training.demos import demo_rows
+from earl_jax.training.demos import used_demos
 from earl_jax.training.ordering import before_update, in_step_with_host, one_controller, read_before_write
 from earl_jax.training.state import LaneState, Problem, StepKeys, TrainState, Warmup, count_visit
 
@@ -86,7 +86,7 @@ def update(
         state, batch = sample(method, state, keys.sample)
     of_lane = jax.vmap(lambda m, lane, key, rows: update_lane(problem, m, lane, key, rows, state.step))
     pending, lanes = in_step_with_host(started.pending, of_lane(method, state.lanes, keys, batch))
-    if not (method.learner.random_steps or len(demo_rows(problem, method).rows)):  # the replay is empty at first
+    if not (method.learner.random_steps or used_demos(problem.env, method)):  # the replay is empty at first
         lanes = jax.vmap(tree_where)(state.replay.counts.any(axis=1), lanes, state.lanes)
     return state.replace(lanes=tree_where(warmup, state.lanes, lanes)), started._replace(pending=pending)
 

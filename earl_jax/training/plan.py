@@ -17,7 +17,7 @@ from earl_jax.errors import InputError, brief
 from earl_jax.options.schedule import require_whole_windows
 from earl_jax.runs.files import warn
 from earl_jax.training import memory
-from earl_jax.training.demos import demo_rows
+from earl_jax.training.demos import used_demos
 from earl_jax.training.devices import lane_mesh
 from earl_jax.training.state import Problem
 
@@ -86,7 +86,7 @@ def _surprises(problem: Problem, method: Method, steps: int, chunk: int) -> Iter
     unused = [
         name for name in ("demo_share", "all_demos", "keep_demos", "cloning") if _is_positive(getattr(learner, name))
     ]
-    if unused and not len(demo_rows(problem, method).rows):
+    if unused and not used_demos(problem.env, method):
         names, where = " and ".join(unused), f"{method.name} has no demonstrations on {problem.env.name}"
         yield f"{names} without effect: {where}"
     yield from _unused(method, type(method))

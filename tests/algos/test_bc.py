@@ -6,7 +6,7 @@ import numpy as np
 from earl_jax.algos import make_algo
 from earl_jax.algos.learner.cloning import clone, cloning_loss
 from earl_jax.envs import TaskDemos
-from earl_jax.training.demos import demo_steps
+from earl_jax.training.demos import demo_rows
 from earl_jax.training.plan import make_plan
 from tests.algos.lives import OPTIONS, lived
 from tests.conftest import assert_equal_trees, make_train_state, take_lane, tiny_method
@@ -14,7 +14,7 @@ from tests.conftest import assert_equal_trees, make_train_state, take_lane, tiny
 
 def test_cloning_lowers_the_error_on_the_demonstrations_of_each_controller(problem):
     learner = make_algo("bc", hidden_sizes=[16], batch_size=64, pretrain_steps=150, pretrain_rate=3e-3).learner
-    demos = demo_steps(problem, tiny_method("bc", controllers=2))
+    demos = demo_rows(problem, tiny_method("bc", controllers=2)).steps(problem.goals.table)
     agents = jax.jit(jax.vmap(lambda key: learner.init(key, 12, 3)))(jax.random.split(jax.random.key(0), 2))
     cloned = jax.jit(lambda key, actors: clone(key, learner, actors, demos))
     actors, losses = cloned(jax.random.key(1), agents.actor)
@@ -58,9 +58,9 @@ def test_any_method_can_clone_first_with_a_noise_of_its_choice(problem):
 
 
 def test_bc_clones_forward_demonstrations_alone_where_there_are_no_others(problem, monkeypatch):
-    both = demo_steps(problem, tiny_method("bc"))
+    both = demo_rows(problem, tiny_method("bc")).steps(problem.goals.table)
     monkeypatch.setattr(TaskDemos, "directions", property(lambda self: ("forward",)))
-    forward = demo_steps(problem, tiny_method("bc", controllers=2))
+    forward = demo_rows(problem, tiny_method("bc", controllers=2)).steps(problem.goals.table)
     assert 0 < len(forward.obs) < len(both.obs)
     assert set(forward.controller.tolist()) == {0}
     assert len(forward.of(1).obs) == len(forward.obs)

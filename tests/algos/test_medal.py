@@ -11,7 +11,7 @@ from earl_jax.algos.learner import replay as replay_lib
 from earl_jax.algos.learner.networks import apply
 from earl_jax.algos.medal import demonstrated_obs, demos_to_clone, mix
 from earl_jax.algos.method import RETURN, TASK
-from earl_jax.training.demos import demo_rows, demo_steps
+from earl_jax.training.demos import demo_rows
 from tests.algos.lives import PHASE, lived
 from tests.algos.transitions import make_batch
 from tests.conftest import take_lane, tiny_method
@@ -130,7 +130,9 @@ def test_backward_demonstrations_get_task_goals_on_ways_back_alone_and_each_cont
 @pytest.mark.parametrize("all_demos", [False, True])
 def test_pretraining_clones_backward_demonstrations_under_each_task_goal(problem, all_demos):
     env = problem.env
-    demos = demos_to_clone(env, demo_steps(problem, tiny_method("medal", all_demos=all_demos)))
+    demos = demos_to_clone(
+        env, demo_rows(problem, tiny_method("medal", all_demos=all_demos)).steps(problem.goals.table)
+    )
     forward, backward = env.demonstrations.load("forward"), env.demonstrations.load("backward")
     assert len(demos.of(TASK).obs) == len(forward.ends) + all_demos * len(backward.ends)
     demonstrated = demonstrated_obs(env)
