@@ -253,15 +253,15 @@ def _is_sampleable(method: Method, lane: LaneState, end: StepEnd) -> jax.Array:
 def _next_goals(
     problem: Problem, method: Method, lane: LaneState, phase: jax.Array, key: jax.Array, end: StepEnd
 ) -> GoalIndices:
-    """Return the goals after a step; if the environment sets task goals, the method can only draw that one."""
-    env_sets = lane.rules.goal_change > 0
+    """Return the goals after a step; in the continuing setting, the method can only draw the environment's task goal."""
+    is_continuing = lane.rules.goal_change > 0
     drawn = problem.goals.draw_task(jax.random.fold_in(key, 1))
-    requested = jnp.where(end.goal_changes, drawn, lane.goal_indices.task)
-    goals = problem.goals._replace(requested=jnp.where(env_sets, requested, -1))
-    current = lane.goal_indices._replace(task=requested)
+    task = jnp.where(end.goal_changes, drawn, lane.goal_indices.task)
+    goals = problem.goals._replace(requested=jnp.where(is_continuing, task, -1))
+    current = lane.goal_indices._replace(task=task)
     fresh = method.next_goal(key, goals, phase, current, lane.method_state)
     goal_indices = tree_where(end.phase_ended, fresh, lane.goal_indices)
-    goal_indices = goal_indices._replace(task=jnp.where(env_sets, requested, goal_indices.task))
+    goal_indices = goal_indices._replace(task=jnp.where(is_continuing, task, goal_indices.task))
     return tree_where(goals.lacks(lane.goal_indices), lane.goal_indices, goal_indices)  # `check_lanes` reports them
 
 
