@@ -51,16 +51,18 @@ def load_policies(folder: RunFolder) -> Policy:
     saved = policies.policies_step(folder.policies)
     if saved == 0 or saved < newest(folder.checkpoints):
         return policies_of(*load_lanes(folder))
-    obs_size, action_size, budget_at = _sizes(folder)
-    helped = budget_at is not None
+    config = folder.config
+    obs_size, action_size = policies.policy_sizes(folder.policies)
+    helped = config.build_setting().budget is not None
+    budget_at = config.build_task().state_size if helped else None
     try:
-        learner, unknown = folder.config.build_method().learner, ""
+        learner, unknown = config.build_method().learner, ""
     except InputError as error:  # the defaults of the method are not known
         try:
-            learner, unknown = learner_of(folder.config.options), f"; {error}"
+            learner, unknown = learner_of(config.options), f"; {error}"
         except InputError:
             raise error from None  # it names the file of the learner
-    learner = per_lane(learner, len(folder.config.seeds))
+    learner = per_lane(learner, len(config.seeds))
 
     def actor(learner: Learner) -> object:
         return learner.deployed(learner.init(jax.random.key(0), obs_size + helped, action_size + helped))
@@ -71,19 +73,6 @@ def load_policies(folder: RunFolder) -> Policy:
     except InputError as error:
         raise InputError(f"{error}{unknown}") from error
     return Policy(learner, actors, obs_size, action_size, budget_at)
-
-
-def _sizes(folder: RunFolder) -> tuple[int, int, int | None]:
-    """Return the fields `obs_size`, `action_size` and `budget_at` of the policies of a run folder."""
-    config = folder.config
-    helped = config.build_setting().budget is not None
-    try:
-        task = config.build_task()
-    except InputError:
-        if helped:  # where the budget is observed depends on the task
-            raise
-        return *policies.policy_sizes(folder.policies), None
-    return task.observation_size, task.action_size, task.state_size if helped else None
 
 
 def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:
