@@ -22,7 +22,7 @@ from tyro.conf import Positional
 
 from earl_jax import physics
 from earl_jax.assets import Demos, spans
-from earl_jax.envs import State, make, resolved_engine
+from earl_jax.envs import State, chosen_engine, make
 from earl_jax.envs.demos import read
 from earl_jax.envs.sawyer.base import ARM, OPENING, Sawyer
 
@@ -126,7 +126,7 @@ def replay(name: str, file: Path, engine: str, substeps: int = 5) -> dict[str, A
     errors = np.concatenate([result["errors"] for result in results])
     reset_error = max(_reset_error(env, first_observation(episode)) for episode in episodes)
     return {
-        "env": name, "file": file.name, "engine": resolved_engine(env), "substeps": substeps,
+        "env": name, "file": file.name, "engine": physics.resolve_engine(chosen_engine(env)), "substeps": substeps,
         "direction": "forward" if forward else "backward", "episodes": len(results),
         "successes_by_end": sum(result["by_end"] for result in results),
         "successes_within_hold": sum(result["offset"] is not None for result in results),

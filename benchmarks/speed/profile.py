@@ -25,7 +25,8 @@ from benchmarks.output import RESULTS, save_rows
 from benchmarks.speed.peers.common import median_s
 from benchmarks.speed.training import compile_steps, make_training
 from earl_jax.cli.arguments import parse_options
-from earl_jax.envs import MujocoEnv, resolved_engine
+from earl_jax.envs import MujocoEnv, chosen_engine
+from earl_jax.physics import resolve_engine
 from earl_jax.physics.engines import c
 from earl_jax.training.state import Problem, TrainState
 
@@ -43,7 +44,7 @@ def milliseconds(call: Callable[[], Any], steps: int, repeats: int) -> float:
 def host_milliseconds(problem: Problem, state: TrainState, repeats: int = 50) -> float:
     """Return milliseconds of engine `c` for one control step of all lanes, without jax; 0 for other engines."""
     env, env_state = problem.env, state.lanes.env_state
-    if not isinstance(env, MujocoEnv) or resolved_engine(env) != "c":
+    if not isinstance(env, MujocoEnv) or resolve_engine(env.engine) != "c":
         return 0.0
     simulator, data = env.simulator, env_state.data
     command = jax.vmap(lambda lane: env.control(lane, jnp.zeros(env.action_size))[1])(env_state)
@@ -115,7 +116,7 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int, options:
     short, program, _ = compile_steps(problem, method, state, TRACED)
     short()
     row = {
-        "env": name, "engine": resolved_engine(problem.env), "algo": algo, "lanes": lanes, **options,
+        "env": name, "engine": resolve_engine(chosen_engine(problem.env)), "algo": algo, "lanes": lanes, **options,
         "step_ms": round(step_ms, 4), "steps_per_s": round(1e3 / step_ms, 1), "lane_steps_per_s": round(lanes * 1e3 / step_ms),
         "without_learning_ms": round(without, 4), "host_ms": round(host_ms, 4), "compile_s": round(compile_s, 1),
         "temporary_mb": round(compiled.memory_analysis().temp_size_in_bytes / 1e6, 1),

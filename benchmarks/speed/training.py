@@ -15,7 +15,8 @@ import tyro
 from benchmarks.output import RESULTS, save_rows
 from benchmarks.speed.peers.common import median_s
 from earl_jax.algos import Method, make_algo
-from earl_jax.envs import make, resolved_engine
+from earl_jax.envs import chosen_engine, make
+from earl_jax.physics import resolve_engine
 from earl_jax.protocol import Protocol
 from earl_jax.training.init import init_train_state
 from earl_jax.training.plan import per_lane
@@ -58,8 +59,8 @@ def measure(name: str, algo: str, lanes: int, steps: int, repeats: int) -> dict:
     advance()
     rate = steps / median_s(advance, repeats)
     return {
-        "env": name, "engine": resolved_engine(problem.env), "algo": algo, "lanes": lanes, "compile_s": round(compiled, 2),
-        "steps_per_s": round(rate, 1),
+        "env": name, "engine": resolve_engine(chosen_engine(problem.env)), "algo": algo, "lanes": lanes,
+        "compile_s": round(compiled, 2), "steps_per_s": round(rate, 1),
         "lane_steps_per_s": round(rate * lanes, 1), "temporary_mb": program.memory_analysis().temp_size_in_bytes / 1e6,
     }  # fmt: skip
 

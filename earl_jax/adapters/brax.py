@@ -12,7 +12,7 @@ from brax.envs.base import Env as BraxEnv, State as BraxState
 from brax.envs.wrappers import training
 
 from earl_jax.adapters._session import Outputs, Session
-from earl_jax.envs import Env, resolved_engine
+from earl_jax.envs import Env, chosen_engine
 from earl_jax.protocol import ProtocolState
 
 NO_TIME_LIMIT = 2**30
@@ -94,4 +94,4 @@ class ResetFreeEnv(BraxEnv):
     @property
     def backend(self) -> str:
         """The physics engine's name, or `kinematic`."""
-        return resolved_engine(self.session.env)
+        return chosen_engine(self.session.env)

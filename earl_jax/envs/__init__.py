@@ -7,7 +7,6 @@ from earl_jax.envs.demonstrations import DemoScript as DemoScript, DemoStart as 
 from earl_jax.envs.engines import (
     chosen_engine as chosen_engine,
     for_lanes as for_lanes,
-    resolved_engine as resolved_engine,
     with_engine as with_engine,
 )
 from earl_jax.envs.features import ContinuingDefaults as ContinuingDefaults, Map as Map, Starts as Starts, View as View

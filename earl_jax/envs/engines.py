@@ -6,18 +6,13 @@ from earl_jax.envs.base import Env
 from earl_jax.envs.help_budget import HelpBudget, without_budget
 from earl_jax.envs.mujoco_env import MujocoEnv
 from earl_jax.errors import InputError
-from earl_jax.physics import fastest_engine, resolve_engine
+from earl_jax.physics import fastest_engine
 
 
 def chosen_engine(env: Env) -> str:
     """Return the physics engine of `env` as chosen: its name, `auto`, or `kinematic`."""
     task = without_budget(env)
     return task.engine if isinstance(task, MujocoEnv) else "kinematic"
-
-
-def resolved_engine(env: Env) -> str:
-    """Return the physics engine that steps `env`: its name (for `auto`, the engine for few lanes), or `kinematic`."""
-    return resolve_engine(chosen_engine(env))
 
 
 def for_lanes(env: Env, lanes: int) -> Env:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from earl_jax.envs import resolved_engine
+from earl_jax.envs import chosen_engine, for_lanes
 from earl_jax.errors import InputError
 from earl_jax.options import imports
 from earl_jax.options.jax_settings import package_types
@@ -178,7 +178,7 @@ def work(
             try:
                 run, path = Run.resolve(config), inside(out, name)
                 if not has_results(path):
-                    RunFolder.create(path, config, resolved_engine(run.env), logs)
+                    RunFolder.create(path, config, chosen_engine(for_lanes(run.env, run.lanes)), logs)
                 run.folder = open_folder(path, config)
                 check_logs(run.folder.logs)
                 stack.enter_context(run.folder.claimed())

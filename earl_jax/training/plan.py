@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jax.sharding import Mesh
 
 from earl_jax.algos import Method
-from earl_jax.envs import resolved_engine
+from earl_jax.envs import chosen_engine
 from earl_jax.errors import InputError, brief
 from earl_jax.options.schedule import require_whole_windows
 from earl_jax.runs.files import warn
@@ -46,8 +46,8 @@ class Plan:
 
     @property
     def engine(self) -> str:
-        """The name of the physics engine that steps the task, or `kinematic`."""
-        return resolved_engine(self.problem.env)
+        """The name of the task's physics engine, with which a `Program` has replaced `auto`, or `kinematic`."""
+        return chosen_engine(self.problem.env)
 
 
 def make_plan(problem: Problem, method: Method, lanes: int, steps: int, devices: int | None = None) -> Plan:

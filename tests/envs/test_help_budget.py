@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from earl_jax.adapters._session import Session
-from earl_jax.envs import HelpBudget, chosen_engine, for_lanes, make, resolved_engine, without_budget
+from earl_jax.envs import HelpBudget, chosen_engine, for_lanes, make, without_budget
 from earl_jax.envs.help_budget import without_help
 from earl_jax.protocol import Deployment, Protocol, deployed
 from earl_jax.training.scan import run_steps
@@ -182,7 +182,7 @@ def test_the_wrapper_has_the_properties_of_its_task():
     env = Deployment(budget=4.0).wrap(task)
     assert (env.name, env.state_size, env.goal_size, env.action_size) == (task.name, 7, 6, 4)
     assert (env.train_horizon, env.eval_horizon, env.sparse, env.has_absorbing_state) == (77, 9, True, True)
-    assert resolved_engine(env) == "kinematic"
+    assert chosen_engine(env) == "kinematic"
     assert (env.view.dt, env.map.unit) == (0.1, "table units")
     np.testing.assert_array_equal(env.goal_states, task.goal_states)
 

@@ -2,14 +2,14 @@
 
 import pytest
 
-from earl_jax.envs import chosen_engine, for_lanes, make, resolved_engine, with_engine
+from earl_jax.envs import chosen_engine, for_lanes, make, with_engine
 from earl_jax.physics import EngineCost, engine_choice, fastest_engine
 
 
 def test_engines_are_chosen_by_name_and_a_missing_one_is_an_error_that_names_its_extra(monkeypatch, env):
     door = make("sawyer_door")
-    assert (chosen_engine(door), resolved_engine(door)) == ("auto", engine_choice.DEFAULT_ENGINES["cpu"])
-    assert chosen_engine(env) == resolved_engine(env) == "kinematic"
+    assert (chosen_engine(door), chosen_engine(for_lanes(door, 2))) == ("auto", engine_choice.DEFAULT_ENGINES["cpu"])
+    assert chosen_engine(env) == chosen_engine(for_lanes(env, 2)) == "kinematic"
     assert with_engine(door, "mjx") == make("sawyer_door", engine="mjx")
     with pytest.raises(ValueError, match="engine 'bullet' is not one of auto, mjx, warp, c"):
         make("sawyer_door", engine="bullet")
