@@ -16,7 +16,7 @@ from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State, all_finite, random_row
 from earl_jax.errors import InputError, brief, check_overrides
 from earl_jax.options.jax_settings import package_types
-from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, check_literals, require
+from earl_jax.options.values import COUNT, COUNT_OR_NEVER, check, check_intervals, require
 from earl_jax.physics import PendingStep
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Env(abc.ABC):
         given = {field: getattr(self, field.name) for field in dataclasses.fields(self)}
         options = {field.name: value for field, value in given.items() if value is not field.default}
         check(type(self).__name__, type(self), options)
-        check_literals(self)
+        check_intervals(type(self).__name__, self)
         require("train_horizon", self.train_horizon, COUNT_OR_NEVER)
         require("eval_horizon", self.eval_horizon, COUNT)
 

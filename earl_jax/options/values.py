@@ -1,4 +1,7 @@
-"""Option values from a command line, a config or a notebook: checks by name, whole numbers, and time limits.
+"""Option values from a command line, a config or a notebook: checks, whole numbers, and time limits.
+
+Before an object is made, `check` its options by name; `check_intervals` of the object afterwards. `require` is for a
+single number, `require_object` for an argument that is an object or its name, `check_storable` for values of a file.
 
 A field declares the interval of its valid values in its metadata: `field(default=0.99, metadata=within("[0, 1)"))`.
 """
@@ -94,7 +97,9 @@ def _check_defaults(owner: str, cls: type) -> None:
 def check_intervals(owner: str, options: Any) -> None:
     """Check the fields of `options` that declare choices or an interval, which None passes. Errors as `check`."""
     _check_defaults(owner, type(options))
-    check_literals(options)
+    for name, valid in literals(type(options)).items():
+        if (value := getattr(options, name)) not in valid:
+            raise InputError(f"{name} {brief(value)} is not one of {', '.join(map(str, valid))}")
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
         if not field.metadata.get("pytree_node", True) and getattr(value, "shape", ()):  # a program is looked up by it
@@ -124,13 +129,6 @@ def _annotations(cls: type) -> list[tuple[str, Any]]:
         except Exception:  # such as the name of a type that is imported for type checkers alone
             items += annotations(base).items()
     return items
-
-
-def check_literals(options: Any) -> None:
-    """Raise an InputError if a field of the object `options` has a value that is not in its `literals`."""
-    for name, valid in literals(type(options)).items():
-        if (value := getattr(options, name)) not in valid:
-            raise InputError(f"{name} {brief(value)} is not one of {', '.join(map(str, valid))}")
 
 
 def check_storable(owner: str, values: Any, depth: int = 0) -> None:

@@ -14,7 +14,7 @@ from flax import struct
 from earl_jax import SAC, InputError, make, make_algo, train
 from earl_jax.algos.naive import Naive
 from earl_jax.cli.arguments import parse_minutes, parse_options
-from earl_jax.options.values import Interval, TimeLimit, check, check_literals, parse_whole
+from earl_jax.options.values import Interval, TimeLimit, check, check_intervals, parse_whole
 from earl_jax.protocol import Deployment, setting_of
 from tests.envs.chain import Chain
 
@@ -80,12 +80,12 @@ def test_the_types_of_options_can_be_text():
     with pytest.raises(ValueError, match="limit must be a finite number or null, not 'much'"):
         check("example", Postponed, {"limit": "much"})
     with pytest.raises(ValueError, match="mode 'c' is not one of a, b"):
-        check_literals(Postponed(mode="c"))  # pyright: ignore[reportArgumentType]
+        check_intervals("example", Postponed(mode="c"))  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="mode None is not one of a, b"):
-        check_literals(Postponed(mode=None))  # pyright: ignore[reportArgumentType]
+        check_intervals("example", Postponed(mode=None))  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="other 3 is not one of 1, 2"):
-        check_literals(Postponed(other=3))  # pyright: ignore[reportArgumentType]
-    check_literals(Postponed(other=2))
+        check_intervals("example", Postponed(other=3))  # pyright: ignore[reportArgumentType]
+    check_intervals("example", Postponed(other=2))
 
 
 @pytest.mark.parametrize(
