@@ -100,14 +100,12 @@ class Progress:
         """Show an evaluation: the deployed metric and the continuing reward, means over seeds of `metrics [N]`."""
         score, reward = (metrics[name].mean(dtype=float) for name in (self._metric, "continuing/reward"))
         self._bar.update(self._task, score=f"{score:.2f}")
-        for marks, problem in (
-            (metrics.get(DIVERGED, NONE) > 0, "have diverged (a loss or a parameter is not finite)"),
-            (metrics.get(OVER, NONE) > 0, "learn nothing more: their budget is spent"),
-            (
-                mostly_faults(metrics.get("faults", NONE), step),
-                "have faults in most steps, from which they do not learn",
-            ),
-        ):
+        problems = {
+            "have diverged (a loss or a parameter is not finite)": metrics.get(DIVERGED, NONE) > 0,
+            "learn nothing more: their budget is spent": metrics.get(OVER, NONE) > 0,
+            "have faults in most steps, from which they do not learn": mostly_faults(metrics.get("faults", NONE), step),
+        }
+        for problem, marks in problems.items():
             if marks.any():
                 self.message(f"step {step}: {marks.sum()} of {len(marks)} lanes {problem}")
         if self._plain:
