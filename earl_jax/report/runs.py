@@ -14,7 +14,7 @@ from earl_jax.algos import preset_learner
 from earl_jax.envs import PAPER_TASKS, env_class, make
 from earl_jax.errors import InputError, printable
 from earl_jax.metrics.continuing import count_diverged
-from earl_jax.metrics.scores import CONTINUING, DEFAULT, RATES, Score, Window
+from earl_jax.metrics.scores import CONTINUING, DEFAULT, Score, Window
 from earl_jax.options.registry import LEARNERS
 from earl_jax.options.values import value_text
 from earl_jax.protocol import SETTINGS, Deployment
@@ -138,18 +138,16 @@ def read(path: Path, window: Window = DEFAULT) -> Curves:
     """Return the curves of one run folder, up to its last complete evaluation.
 
     Raises:
-        ValueError: the folder holds no run, or one without an evaluation, with missing rows, or with a success outside [0, 1].
+        ValueError: the folder holds no run, or one without an evaluation, or with damaged rows.
     """
     folder = RunFolder.open(path)
     table = folder.table()
     if not len(table.steps):
         raise InputError(f"{path} has no evaluation yet")
-    metrics, score = Columns(path, table.metrics), folder.config.deployed_metric
-    values = metrics[score]
-    for lane, row in np.argwhere((values < 0) | (values > 1)) if score in RATES else ():
-        at = f"seed {folder.config.seeds[lane]} at step {table.steps[row]}"
-        raise InputError(f"{path / METRICS}: {score} of {at} is {values[lane, row]:g}, not from 0 to 1")
-    metrics.setdefault(CONTINUING, np.full_like(values, np.nan))  # of a run from elsewhere
+    metrics = Columns(path, table.metrics)
+    metrics.setdefault(
+        CONTINUING, np.full_like(metrics[folder.config.deployed_metric], np.nan)
+    )  # of a run from elsewhere
     try:
         folder.config.build_setting()
     except InputError as error:  # it names the choices, but not the run

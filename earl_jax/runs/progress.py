@@ -78,6 +78,7 @@ class Progress:
         yield
         if self._compiling:
             self._compiled.add(work)
+            self._timed = None  # the time of a compilation says nothing about the time left
             self.message(f"{work}: the first call took {time.monotonic() - self._work_start:.0f} s")
 
     def advance(self, steps: int, seconds: float) -> None:
@@ -87,11 +88,11 @@ class Progress:
         """
         self._done += steps
         speed = steps / max(seconds, 1e-9)  # the clock can be too coarse
-        if self._compiling and self._speed:
-            self._timed = None  # the time of a compilation says nothing about the time left
+        if self._compiling:
+            self._speed = self._speed or speed
         elif self._timed is None:
             self._speed = speed
-            self._timed = None if self._compiling else (time.monotonic() - seconds, self._done - steps)
+            self._timed = time.monotonic() - seconds, self._done - steps
         else:
             self._speed = SMOOTHING * self._speed + (1 - SMOOTHING) * speed
         self._bar.update(self._task, advance=steps, speed=self._speed_text())

@@ -22,19 +22,23 @@ NUMERIC = ("jax", "jaxlib", "flax", "optax", "mujoco", "mujoco-mjx")
 
 def provenance() -> dict[str, Any]:
     """Return the time (UTC), versions, platform, and `checkout_commit` or `installed_release` of a new run."""
-    package = Path(__file__).resolve().parents[1]
-    commit, release = checkout_commit(package), None
-    if commit is None:
-        release, commit = installed_release(package)
     return {
         "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "versions": {package: _version(package) for package in PACKAGES},
         "python": platform.python_version(),
         "backend": jax.default_backend(),
         "device": jax.devices()[0].device_kind,
-        "commit": commit,
-        "release": release,
+        **_origin(),
     }
+
+
+def _origin() -> dict[str, str | None]:
+    """Return the commit of this package, and the release that it was installed from."""
+    package = Path(__file__).resolve().parents[1]
+    commit, release = checkout_commit(package), None
+    if commit is None:
+        release, commit = installed_release(package)
+    return {"commit": commit, "release": release}
 
 
 def _version(package: str) -> str | None:
@@ -45,10 +49,13 @@ def _version(package: str) -> str | None:
 
 
 def changed_versions(recorded: Any) -> str:
-    """Return in words which packages of `NUMERIC` have another version here than in a recorded provenance."""
+    """Return in words what is not as in a recorded provenance: this package's commit, and versions of packages of `NUMERIC`."""
     then = recorded.get("versions") if isinstance(recorded, dict) else None
     then = then if isinstance(then, dict) else {}
     now = {name: _version(name) for name in NUMERIC if name in then}
+    if made := made_by(recorded):
+        then = then | {"earl-jax": short_commit(made)}
+        now = {"earl-jax": short_commit(made_by(_origin())) or "unknown", **now}
     return ", ".join(f"{name} {then[name]} (here {here})" for name, here in now.items() if then[name] != here)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from earl_jax.errors import InputError
+from earl_jax.metrics.scores import RATES
 from earl_jax.runs.config import RunConfig
 from earl_jax.runs.files import opened
 
@@ -81,7 +82,19 @@ class Table:
         values = np.concatenate(blocks)[: count - count % seeds].reshape(-1, seeds, len(columns))
         metrics = dict(zip(columns, np.ascontiguousarray(values.transpose(2, 1, 0)), strict=True))
         steps, _ = (metrics.pop(name) for name in KEYS)
-        return cls(steps[0].astype(int), metrics, problem, cut)
+        return cls(steps[0].astype(int), metrics, problem or _not_a_rate(steps[0], metrics, config), cut)
+
+
+def _not_a_rate(steps: np.ndarray, metrics: Mapping[str, np.ndarray], config: RunConfig) -> str:
+    """Return where the deployed score is a rate outside [0, 1], as of a run from elsewhere in percent; else an empty text."""
+    name = config.deployed_metric
+    if name not in RATES or name not in metrics:
+        return ""
+    values = metrics[name]
+    for lane, row in np.argwhere((values < 0) | (values > 1)):
+        at = f"seed {config.seeds[lane]} at step {steps[row]:.0f}"
+        return f"{name} of {at} is {values[lane, row]:g}, not from 0 to 1"
+    return ""
 
 
 def lines_of(path: Path) -> Iterator[str]:

@@ -18,6 +18,8 @@ from earl_jax.algos.method import controller_count
 from earl_jax.errors import InputError
 from earl_jax.options.environment import FRACTION, PER_DEVICE
 from earl_jax.options.values import counted
+from earl_jax.runs.checkpoint import saved_steps
+from earl_jax.runs.contents import CHECKPOINTS
 from earl_jax.runs.files import warn
 from earl_jax.training.init import empty_replay, init_train_state
 from earl_jax.training.state import Problem, TrainState
@@ -137,11 +139,15 @@ def _counted(file: str, name: str) -> int:
 
 
 def warn_of_disk(needed: MemoryEstimate, folder: Path) -> None:
-    """Warn if the disk of `folder` has less space than the last checkpoint of a program can need."""
-    size, free = needed.lanes * (needed.replay + needed.agent), shutil.disk_usage(folder).free
+    """Warn if the disk of `folder`, that of a run, has less space than the checkpoints of its program can need.
+
+    There are three while the last one is written. A run that is continued has two of them.
+    """
+    copies = 1 if saved_steps(folder / CHECKPOINTS) else 3
+    size, free = copies * needed.lanes * (needed.replay + needed.agent), shutil.disk_usage(folder).free
     if size > free:
-        sizes = f"{size / GIGABYTE:.3g} GB, and the disk has {free / GIGABYTE:.3g} GB"
-        warn(f"the last checkpoint in {folder} can need {sizes}; without it, the run cannot be continued")
+        sizes = f"{size / GIGABYTE:.3g} GB, and the disk of {folder} has {free / GIGABYTE:.3g} GB"
+        warn(f"the checkpoints of {counted(needed.lanes, 'lane')} can need {sizes}; training ends when it is full")
 
 
 def require(needed: MemoryEstimate, mesh: Mesh | None = None) -> None:

@@ -85,7 +85,7 @@ def test_a_known_method_on_an_unknown_task_is_labelled_with_its_own_default(tmp_
 def test_a_rate_outside_of_0_to_1_is_refused_with_its_place(tmp_path):
     path = write_run(tmp_path / "percent", TABLETOP, "naive", [[0.0, 60.0], [0.5, np.nan]], seeds=(7, 8))
     with pytest.raises(
-        ValueError, match=r"percent/metrics.csv: deployed/success of seed 7 at step 20 is 60, not from 0"
+        ValueError, match=r"percent/metrics.csv is damaged: deployed/success of seed 7 at step 20 is 60, not from 0"
     ):
         read(path)
 

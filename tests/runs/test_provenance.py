@@ -1,6 +1,7 @@
 """The commit that a run records, which says whether files differ from it."""
 
 import json
+import re
 import subprocess
 
 import pytest
@@ -42,6 +43,8 @@ def test_packages_with_other_versions_than_recorded_are_named():
     here = recorded["versions"]["jax"]
     old = recorded | {"versions": recorded["versions"] | {"jax": "0.4.1", "numpy": "1.0"}}
     assert changed_versions(old) == f"jax 0.4.1 (here {here})"
+    newer = changed_versions(recorded | {"commit": 40 * "a" + "-dirty"})
+    assert re.fullmatch(r"earl-jax a{9}-dirty \(here [0-9a-f]{9}(-dirty)?\)", newer)
     assert changed_versions(None) == changed_versions({"versions": []}) == changed_versions({"versions": {}}) == ""
 
 

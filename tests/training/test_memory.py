@@ -52,16 +52,21 @@ def test_a_run_that_does_not_fit_is_refused_with_the_lanes_that_would_and_writes
     assert str(need).endswith(" of work")
 
 
-def test_a_disk_that_is_too_small_for_the_last_checkpoint_is_named(monkeypatch, tmp_path, problem):
+def test_a_disk_that_is_too_small_for_the_checkpoints_is_named(monkeypatch, tmp_path, problem):
     need = memory.estimate(problem, make_algo("naive"), 2, 80)
-    monkeypatch.setattr(memory.shutil, "disk_usage", Mock(return_value=Mock(free=2 * (need.replay + need.agent))))
+    size = 2 * (need.replay + need.agent)
+    monkeypatch.setattr(memory.shutil, "disk_usage", Mock(return_value=Mock(free=3 * size)))
     with warnings.catch_warnings(action="error"):
         memory.warn_of_disk(need, tmp_path)
     memory.shutil.disk_usage.return_value.free -= 1
-    with pytest.warns(RunWarning, match="without it, the run cannot be continued"):
+    with pytest.warns(RunWarning, match=f"the checkpoints of 2 lanes can need .* the disk of {tmp_path} has"):
+        memory.warn_of_disk(need, tmp_path)
+    (tmp_path / "checkpoints/000000040").mkdir(parents=True)
+    memory.shutil.disk_usage.return_value.free = size
+    with warnings.catch_warnings(action="error"):
         memory.warn_of_disk(need, tmp_path)
     memory.shutil.disk_usage.return_value.free = 0
-    with pytest.warns(RunWarning, match=f"the last checkpoint in {tmp_path / 'run'} can need"):
+    with pytest.warns(RunWarning, match=f"the disk of {tmp_path / 'run'} has 0 GB; training ends when it is full"):
         tiny_train("naive", out=tmp_path / "run")
 
 
