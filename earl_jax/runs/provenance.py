@@ -3,6 +3,7 @@
 import base64
 import csv
 import datetime
+import functools
 import hashlib
 import json
 import platform
@@ -32,8 +33,9 @@ def provenance() -> dict[str, Any]:
     }
 
 
+@functools.cache
 def _origin() -> dict[str, str | None]:
-    """Return the commit of this package, and the release that it was installed from."""
+    """Return the commit of this package, and the release that it was installed from, when this process first asks."""
     package = Path(__file__).resolve().parents[1]
     commit, release = checkout_commit(package), None
     if commit is None:
@@ -53,9 +55,8 @@ def changed_versions(recorded: Any) -> str:
     then = recorded.get("versions") if isinstance(recorded, dict) else None
     then = then if isinstance(then, dict) else {}
     now = {name: _version(name) for name in NUMERIC if name in then}
-    if made := made_by(recorded):
-        then = then | {"earl-jax": short_commit(made)}
-        now = {"earl-jax": short_commit(made_by(_origin())) or "unknown", **now}
+    if (made := made_by(recorded)) and (here := made_by(_origin())):  # another user's checkout has no commit for git
+        then, now = {**then, "earl-jax": short_commit(made)}, {"earl-jax": short_commit(here), **now}
     return ", ".join(f"{name} {then[name]} (here {here})" for name, here in now.items() if then[name] != here)
 
 

@@ -38,7 +38,7 @@ def submit(out: Path, tasks: list[Task], options: dict[str, str], emit: Callable
             for name in task["runs"]:
                 emit(f"submitted  {name}  job {job}_{number}")
     later = f"logs in {folder}; when they have ended, repeat the command to submit unfinished runs"
-    emit(f"{counted(len(tasks), 'job')}; {later}" if tasks else "no run is unfinished")
+    emit(f"{counted(len(tasks), 'job')}; {later if tasks else 'no run is unfinished'}")
 
 
 def options_of(pairs: tuple[str, ...]) -> dict[str, str]:
