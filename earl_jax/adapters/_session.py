@@ -204,13 +204,15 @@ def _given_task(task: str | Env, options: dict[str, Any]) -> Env:
 def make_task(name: str, options: dict[str, Any], others: Sequence[str]) -> Env:
     """Return the task `name` with its `options`; an InputError of an unknown one lists them and the `others` of the adapter."""
     known = [field.name for field in dataclasses.fields(env_class(name))]
-    for option in (option for option in options if option not in known):
-        for setting in SETTINGS.values() if "setting" in others else ():
-            if option in {field.name for field in dataclasses.fields(setting)}:
-                text = f"setting=earl_jax.{setting.__name__}({option}=...)"
-                raise InputError(f"{option!r} is an option of the setting, not of task {name!r}: pass {text}")
-        raise InputError(f"task {name!r} has no option {option!r}; choose from {', '.join([*others, *known])}")
-    return make(name, **options)
+    unknown = [option for option in options if option not in known]
+    if not unknown:
+        return make(name, **options)
+    option = unknown[0]
+    for setting in SETTINGS.values() if "setting" in others else ():
+        if option in {field.name for field in dataclasses.fields(setting)}:
+            text = f"setting=earl_jax.{setting.__name__}({option}=...)"
+            raise InputError(f"{option!r} is an option of the setting, not of task {name!r}: pass {text}")
+    raise InputError(f"task {name!r} has no option {option!r}; choose from {', '.join([*others, *known])}")
 
 
 @functools.cache

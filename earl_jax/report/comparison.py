@@ -97,8 +97,9 @@ def compare(
     if against == "published":
         rows, needed = published_rows(runs, metric), "a task and a method of the paper"
         compared = {(row["env"], row["first"]) for row in rows}
-        for run in (run for run in runs if (run.env, run.label) not in compared):
-            warn(f"{run.label} on {run.env} is not compared: {_nothing_published(run, metric)}")
+        for run in runs:
+            if (run.env, run.label) not in compared:
+                warn(f"{run.label} on {run.env} is not compared: {_nothing_published(run, metric)}")
     else:
         rows, needed = [], "two methods on one task, or --against published"
         for first, second in (pair for pair in itertools.combinations(runs, 2) if pair[0].env == pair[1].env):

@@ -20,7 +20,7 @@ from earl_jax.runs.files import warn
 
 Check = Callable[[Curves], Any]
 """A function that raises an error if curves lack what a report shows of them."""
-NEEDED = frozenset({*DEPLOYED.values(), CONTINUING})
+NEEDED = frozenset(DEPLOYED.values())
 """Metrics without which a run is not pooled; of the others, pooled runs keep those that all of them have."""
 MOST_CAUSES = 5
 """Most causes in the error that no run can be used."""
@@ -178,7 +178,7 @@ def pooled(parts: Sequence[Curves]) -> Curves:
     """Return the curves of the seeds of all `parts`, over their common steps.
 
     Raises:
-        ValueError: they have no step in common, or one lacks a metric of `NEEDED` that others have.
+        ValueError: they have no step in common, or one lacks a metric of `NEEDED`, or rewards that others have.
     """
     config, folders = parts[0].config, tuple(folder for part in parts for folder in part.runs)
     steps = functools.reduce(np.intersect1d, [part.steps for part in parts])

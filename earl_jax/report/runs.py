@@ -145,9 +145,8 @@ def read(path: Path, window: Window = DEFAULT) -> Curves:
     if not len(table.steps):
         raise InputError(f"{path} has no evaluation yet")
     metrics = Columns(path, table.metrics)
-    metrics.setdefault(
-        CONTINUING, np.full_like(metrics[folder.config.deployed_metric], np.nan)
-    )  # of a run from elsewhere
+    unknown = np.full_like(metrics[folder.config.deployed_metric], np.nan)
+    metrics.setdefault(CONTINUING, unknown)  # of a run from elsewhere
     try:
         folder.config.build_setting()
     except InputError as error:  # it names the choices, but not the run

@@ -91,10 +91,11 @@ def _not_a_rate(steps: np.ndarray, metrics: Mapping[str, np.ndarray], config: Ru
     if name not in RATES or name not in metrics:
         return ""
     values = metrics[name]
-    for lane, row in np.argwhere((values < 0) | (values > 1)):
-        at = f"seed {config.seeds[lane]} at step {steps[row]:.0f}"
-        return f"{name} of {at} is {values[lane, row]:g}, not from 0 to 1"
-    return ""
+    wrong = (values < 0) | (values > 1)
+    if not wrong.any():
+        return ""
+    lane, row = np.argwhere(wrong)[0]
+    return f"{name} of seed {config.seeds[lane]} at step {steps[row]:.0f} is {values[lane, row]:g}, not from 0 to 1"
 
 
 def lines_of(path: Path) -> Iterator[str]:
