@@ -143,9 +143,13 @@ def plot(
     """
     from earl_jax.report.plots import caption, plot_runs
 
-    for path in out:
-        with replacing(path):
-            plot_runs(folders, path, tuple(itertools.chain(*labels)), metric, size, smooth, published)
+    if not out:
+        raise InputError("--out needs a picture to write")
+    names = tuple(itertools.chain(*labels))
+    with contextlib.ExitStack() as stack:
+        for path in out:
+            stack.enter_context(replacing(path))
+        plot_runs(folders, out[0], names, metric, size, smooth, published, out[1:])
     print(*out, caption(smooth, published), sep="\n")
 
 

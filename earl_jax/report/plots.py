@@ -77,6 +77,7 @@ def plot_runs(
     size: Literal["screen", "column", "page"] = "screen",
     smooth: int = 1,
     published: bool = False,
+    copies: Sequence[str | Path] = (),
 ) -> Path:
     """Draw curves of `folders`, means with 95 % bands, and return `out`.
 
@@ -89,39 +90,47 @@ def plot_runs(
         smooth: evaluations in the trailing mean that is drawn; 1 draws evaluations as they are, at most 2,000 per line.
         published: whether to draw a panel for each run, with thin lines for its seeds over the paper's released seeds
             in grey, and both means.
+        copies: further files to write the same picture to, of other suffixes for example.
 
     Raises:
-        ValueError: a folder is not a run, `out` has an unknown suffix, `names` are too few or too many, a run has no
+        ValueError: a folder is not a run, a file has an unknown suffix, `names` are too few or too many, a run has no
             column `metric`, or matplotlib is not installed.
     """
-    out = Path(out)
-    require_suffix(out, style.PICTURES, "pictures")
+    files = [Path(file) for file in (out, *copies)]
+    for file in files:
+        require_suffix(file, style.PICTURES, "pictures")
     require_known("size", size, SIZES)
     require("smooth", smooth, COUNT)
-    runs = read_all(folders, check=lambda curves: require_curve(curves, metric))
-    lines = _lines(runs, names)
+    lines = _lines(read_all(folders, check=lambda curves: require_curve(curves, metric)), names)
+    with style.matplotlib().rc_context({"font.size": SIZES[size].points}):
+        figure = _figure(lines, metric, SIZES[size], smooth, published)
+        for file in files:
+            style.save(figure, file)
+    return files[0]
+
+
+def _figure(lines: Sequence[Line], metric: str | None, layout: Size, smooth: int, published: bool) -> Any:
+    """Return the figure of `lines`, in which each task and kind of reward, or if `published` each line, has its own panels."""
     tasks = style.task_order(line.curves.env for line in lines)
     by_task = sorted(lines, key=lambda line: tasks.index(line.curves.env))
     of_tasks = style.grouped(by_task, lambda line: (line.curves.env, metric or line.curves.deployed_metric)).values()
     groups = [[line] for of_task in of_tasks for line in of_task] if published else of_tasks
     cells = [(group, *panel) for group in groups for panel in _panels(group, metric)]
-    layout = SIZES[size]
     columns = min(layout.columns, len(cells))
     rows = -(-len(cells) // columns)
-    with style.matplotlib().rc_context({"font.size": layout.points}):
-        figure, axes = style.new_figure(rows, columns, (layout.width, layout.height * rows))
-        released = False
-        for axis, (group, drawn, heading) in zip(axes.flat, cells, strict=False):
-            released |= _draw_panel(axis, group, drawn, smooth, published)
-            names = [style.task_title(group[0].curves.env)] * (len(tasks) > 1) + [group[0].name] * published
-            title = layout.wrapped(", ".join(names), columns, 1.2)  # as matplotlib enlarges titles
-            axis.set_title("\n".join(filter(None, (title, heading))))
-        for axis in axes.flat[len(cells) :]:
-            axis.set_visible(False)
-        if len(tasks) == 1:
-            figure.suptitle(style.task_title(tasks[0]))
-        _add_legend(figure, lines, layout, released)
-        return style.save(figure, out)
+    figure, axes = style.new_figure(rows, columns, (layout.width, layout.height * rows))
+    released = False
+    for axis, (group, drawn, heading) in zip(axes.flat, cells, strict=False):
+        released |= _draw_panel(axis, group, drawn, smooth, published)
+        names = [style.task_title(group[0].curves.env)] * (len(tasks) > 1) + [group[0].name] * published
+        title = layout.wrapped(", ".join(names), columns, 1.2)  # as matplotlib enlarges titles
+        axis.set_title("\n".join(filter(None, (title, heading))))
+    for axis in axes.flat[len(cells) :]:
+        axis.set_visible(False)
+    if len(tasks) == 1:
+        figure.suptitle(style.task_title(tasks[0]))
+    _add_legend(figure, lines, layout, released)
+    return figure
 
 
 def _lines(runs: Sequence[Curves], names: Sequence[str]) -> list[Line]:

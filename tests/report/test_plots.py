@@ -10,7 +10,7 @@ from earl_jax.report.published import released_curves
 from earl_jax.report.scores import trailing
 from earl_jax.report.style import COLOURS, colours, method_order, task_title
 from earl_jax.runs.files import RunWarning
-from tests.cli.process import run
+from tests.cli.process import run, succeed
 from tests.report.run_files import DOOR, TABLETOP, rising, write_run
 
 METRICS = {"continuing/reward": [0.0, 0.005, 0.01], "interventions": [1, 2, 3], ALIVE: [1, np.nan, 0], FORWARD: np.nan}
@@ -198,3 +198,14 @@ def test_released_seeds_are_smoothed_over_as_many_steps_as_ours(tmp_path, drawn)
 def test_a_task_without_released_seeds_has_none_in_its_legend(tmp_path, drawn):
     write_run(tmp_path, "dhand_lightbulb", "fbrl", rising(3, 3), metrics=METRICS)
     assert texts(drawn(tmp_path, metric="interventions", published=True)) == ["FBRL, 3 seeds"]
+
+
+def test_further_files_have_the_same_picture_and_a_wrong_one_is_refused_before_any_is_written(sweep, tmp_path):
+    first, second = tmp_path / "a.png", tmp_path / "b.svg"
+    output = succeed("plot", sweep, "--out", first, second)
+    assert output.startswith(f"{first}\n{second}\nMeans over seeds")
+    assert "<svg" in second.read_text()
+    code, _, err = run("plot", sweep, "--out", tmp_path / "c.png", tmp_path / "d.txt")
+    assert (code, (tmp_path / "c.png").exists()) == (2, False), err
+    code, _, err = run("plot", sweep, "--out")
+    assert (code, err) == (2, "earl-jax: --out needs a picture to write\n")
