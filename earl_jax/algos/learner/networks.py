@@ -15,7 +15,7 @@ from flax import linen
 
 from earl_jax.algos.learner import bf16
 
-LOG_STD_RANGE = (-20.0, 10.0)
+LOG_STD_RANGE = (-20.0, 2.0)
 PRECISIONS = ("float32", "tf32", "bf16")
 ADAM = optax.scale_by_adam()
 

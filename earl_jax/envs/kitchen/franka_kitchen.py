@@ -109,7 +109,6 @@ class FrankaKitchen(MujocoEnv):
     substeps: int = 12
     variant: Literal["released", "paper"] = "released"
     noise: bool = True
-    leash: bool = True
 
     name: ClassVar[str] = "franka_kitchen"
     engine_cost: ClassVar[EngineCost | None] = EngineCost(host=0.49, device=47.0)
@@ -165,9 +164,7 @@ class FrankaKitchen(MujocoEnv):
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:
         hand = rewards.dragging_position(rewards.observed(state.data.qpos))
         fastest = jnp.abs(state.data.qvel[:7]).max()
-        pulled = _target(state, action)
-        if self.leash:
-            pulled = leashed_target(pulled, hand, fastest, JOINT_SPEED, LEASH)
+        pulled = leashed_target(_target(state, action), hand, fastest, JOINT_SPEED, LEASH)
         return state.data.replace(mocap_pos=pulled[None]), state.obs[:2] + FINGER_REACH * action[:2]
 
     def observe(self, state: State, action: jax.Array, data: PhysicsState, sensors: jax.Array) -> NextState:
