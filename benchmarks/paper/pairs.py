@@ -277,4 +277,12 @@ DIFFERENCES = (
     Difference("34", "R3L in the kitchen as in 31, with a reset every 20,000 steps, fresh seeds", (
         _variants(f"{KITCHEN}/r3l", "released_resets", base=f"{KITCHEN}/r3l/released")
     )),
+    Difference("35", "the kitchen's oracle, fresh seeds: deviations; random steps too, and with reward scale 0.1; motion", tuple(
+        Pair((f"{KITCHEN}/oracle/{variant}",), other)
+        for variant, base in (
+            ("wide", ""), ("random_10000-wide", "/wide"), ("random_10000-reward_scale_0.1-wide", "/random_10000-wide"),
+            ("unleashed-wide", "/wide"),
+        )
+        for other in ((f"{KITCHEN}/oracle{base}",), PUBLISHED)
+    )),
 )  # fmt: skip
