@@ -64,6 +64,12 @@ def _file(kind: str, name: str, suffix: str) -> Path:
     return path
 
 
+def asset_name(task: Any) -> str:
+    """Return the name of the files of a `task`: its own, or that of the task of this package which its class extends."""
+    names = [vars(cls).get("name") for cls in type(task).__mro__ if cls.__module__.startswith("earl_jax.")]
+    return next(filter(None, names), task.name)
+
+
 def mjcf(name: str) -> Path:
     """Return the path of the MJCF file of task `name`.
 

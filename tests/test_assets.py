@@ -30,6 +30,17 @@ def test_shipped_demonstrations_end_in_success(name, direction):
         demos.states[0] = 0
 
 
+@pytest.mark.parametrize("name", ["tabletop_organization", "sawyer_door"])
+def test_a_variant_of_a_task_with_a_name_of_its_own_keeps_the_files_of_the_task(name):
+    """The door's had no model, and the table's no demonstrations, without a word."""
+    task = make(name)
+    variant = type("Variant", (type(task),), {"name": "variant"})()
+    assert (variant.demonstrations.task, variant.demonstrations.directions) == (name, task.demonstrations.directions)
+    assert variant.view.model == task.view.model
+    start, own = (jax.jit(env.reset)(jax.random.key(0)) for env in (task, variant))
+    np.testing.assert_array_equal(start.obs, own.obs)
+
+
 @pytest.mark.parametrize("name", COUNTS)
 def test_the_demos_command_reproduces_the_shipped_file(name):
     """On the arms, rounding grows with contacts: the first half of the first demonstration is compared."""

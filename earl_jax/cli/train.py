@@ -119,14 +119,12 @@ def _by_name(
     env: str | None, algo: str | None, preset: str | None, steps: int | None, options: dict[str, Any]
 ) -> tuple["Env", "Method", "Setting", int, Schedule]:
     """Return the task, method, setting, number of seeds and schedule that names and `options` describe."""
-    from earl_jax import algos
-    from earl_jax.training import api
+    from earl_jax.training.build import build
 
     if env is None:
         raise InputError("train needs a task, a name from `earl-jax list`, or --config with a run to repeat")
     chosen = Preset() if preset is None else named_preset(preset, env, steps)
-    task, setting, options = api.split_options(env, {**chosen.options, **options})
-    method = algos.method_for(task, ALGO if algo is None else algo, **options)
+    task, method, setting = build(env, ALGO if algo is None else algo, {**chosen.options, **options})
     return task, method, setting, chosen.seeds, chosen.schedule
 
 

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from earl_jax.envs.checks import of_whole_obs, require_like, require_tuple
+from earl_jax import assets
+from earl_jax.envs.checks import of_state, of_whole_obs, require_like, require_result, require_tuple
 from earl_jax.envs.demonstrations import TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
 from earl_jax.envs.state import NextState, State, all_finite, random_row
@@ -51,8 +52,11 @@ class Env(abc.ABC):
         """Run the functions of a task under the package's jax types, as `step` does, and make its arrays read-only."""
         super().__init_subclass__(**options)
         check_overrides(cls)
+        if "step" in vars(cls):
+            remedy = "override finish_step, or what it calls"
+            raise InputError(f"{cls.__name__}.step: training calls start_step and finish_step instead; {remedy}")
         if "reset" in vars(cls):
-            cls.reset = package_types()(cls.reset)
+            cls.reset = package_types()(of_state(cls.reset))
         for name in {"success", "reward"} & vars(cls).keys():
             setattr(cls, name, package_types()(of_whole_obs(getattr(cls, name))))
         for constant in vars(cls).values():
@@ -170,7 +174,7 @@ class Env(abc.ABC):
     @property
     def demonstrations(self) -> TaskDemos:
         """The demonstrations: by default recorded ones alone, without a scripted expert or a script to record more."""
-        return TaskDemos(self.name, self.demo_file, (self.state_size, self.goal_size, self.action_size))
+        return TaskDemos(assets.asset_name(self), self.demo_file, (self.state_size, self.goal_size, self.action_size))
 
     @property
     def object_position(self) -> Callable[[State], jax.Array] | None:
@@ -227,10 +231,14 @@ class Env(abc.ABC):
         """
         if jnp.shape(vector) != (self.state_size,):
             raise InputError(f"{self.name}: a state vector has shape {jnp.shape(vector)}, not {(self.state_size,)}")
+        if "goal" not in info:
+            raise InputError(f"{self.name}: info of make_state must have the goal, not only {brief(list(info))}")
         obs, zero = jnp.concatenate([vector, info["goal"]]), jnp.zeros(())
         metrics = {"success": self.success(obs).astype(jnp.float32)}
         state = State(data=data, obs=obs, reward=zero, done=zero, metrics=metrics, info=info)
-        return state.replace(reward=jnp.asarray(self.goal_reward(state, info["goal"]), jnp.float32))
+        reward = self.goal_reward(state, info["goal"])
+        require_result(f"{self.name}: what goal_reward returns", reward, (), "number")
+        return state.replace(reward=jnp.asarray(reward, jnp.float32))
 
     @package_types()
     def sample_goal(self, key: jax.Array) -> jax.Array:

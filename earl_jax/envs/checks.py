@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax.envs.state import State
 from earl_jax.errors import InputError, brief
 
 if TYPE_CHECKING:
@@ -63,6 +64,18 @@ def of_whole_obs(function: Callable[[Any, jax.Array], jax.Array]) -> Callable[[A
                 f"{list(shape)}"
             )
         return function(env, obs)
+
+    return checked
+
+
+def of_state(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the `reset` of a task with a check that refuses a result that is no `State`, such as (obs, state)."""
+
+    @functools.wraps(function)
+    def checked(env: Any, key: jax.Array) -> State:
+        if not isinstance(state := function(env, key), State):
+            raise InputError(f"{env.name}: reset must return a State, from make_state, not {brief(state)}")
+        return state
 
     return checked
 

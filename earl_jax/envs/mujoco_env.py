@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax import assets
 from earl_jax.envs.base import Env, NextState, State
 from earl_jax.envs.checks import require_tuple
 from earl_jax.envs.features import View
@@ -45,7 +46,7 @@ class MujocoEnv(Env):
     @property
     def model(self) -> str:
         """The task's MJCF: its name in assets, or a path."""
-        return self.name
+        return assets.asset_name(self)
 
     @property
     def view(self) -> View:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from earl_jax import assets
 from earl_jax.envs.base import KinematicEnv
 from earl_jax.envs.demonstrations import DemoScript, DemoStart, TaskDemos
 from earl_jax.envs.features import ContinuingDefaults, Map, Starts, View
@@ -105,7 +106,7 @@ class TabletopOrganization(KinematicEnv):
 
     @property
     def view(self) -> View:
-        return View(self.name, render_goal=self._at_goal)
+        return View(assets.asset_name(self), render_goal=self._at_goal)
 
     def _at_goal(self, state: State) -> PhysicsState:
         return state.data.replace(qpos=state.info["goal"][:4])

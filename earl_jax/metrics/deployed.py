@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from earl_jax.envs import Env, State
+from earl_jax.envs.checks import require_like
 from earl_jax.envs.help_budget import without_help
 from earl_jax.envs.starts import STARTS, starts_of
 from earl_jax.envs.state import tree_where
@@ -84,7 +85,9 @@ def deployed(
     states = draw(key, episodes)
     if wide is not None:
         wide_keys = jax.random.split(jax.random.fold_in(key, WIDE_KEY), episodes)
-        states = jax.tree.map(lambda *parts: jnp.concatenate(parts), states, jax.vmap(wide)(wide_keys))
+        wide_states = jax.vmap(wide)(wide_keys)
+        require_like(f"{env.name}: starts.wide must return a state", wide_states, states)
+        states = jax.tree.map(lambda *parts: jnp.concatenate(parts), states, wide_states)
     results = jax.vmap(lambda state: episode(env, policy, state, horizon))(states)
     metrics = {f"deployed/{name}": values[:episodes].mean() for name, values in results.items()}
     return metrics if wide is None else {**metrics, WIDE: results["success"][episodes:].mean()}

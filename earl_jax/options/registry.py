@@ -2,10 +2,11 @@
 
 import dataclasses
 import functools
+import re
 from importlib import metadata
 from typing import Any
 
-from earl_jax.errors import InputError, brief, choices
+from earl_jax.errors import InputError, annotations, brief, choices
 from earl_jax.options.values import check
 
 ARGUMENTS = frozenset(
@@ -13,6 +14,8 @@ ARGUMENTS = frozenset(
     | {"out", "logs", "overwrite", "progress", "devices", "minutes"}
 )
 """Parameters of the functions that accept options by name; an option with such a name could not be set."""
+NAME = re.compile(r"[A-Za-z][\w.-]*", re.ASCII)
+"""The names that file systems and Gymnasium's ids accept."""
 REGISTERED: list[type] = []
 """The classes of every kind that were registered in this process."""
 
@@ -110,9 +113,17 @@ class Registry:
         if not isinstance(factory, type) or not issubclass(factory, base) or not dataclasses.is_dataclass(factory):
             kind = f"a dataclass and a subclass of {base.__name__}"
             raise InputError(f"{self.noun} {name!r}: {source} must be {kind}, not {factory!r}")
+        if not NAME.fullmatch(name):
+            rule = "a name has letters, digits, _, - and . only, and begins with a letter"
+            raise InputError(f"{self.noun} {name!r}: {rule}")
         if missing := ", ".join(sorted(getattr(factory, "__abstractmethods__", ()))):
             raise InputError(f"{self.noun} {name!r}: {source} lacks {missing}")
-        if taken := ", ".join(sorted(ARGUMENTS & {field.name for field in dataclasses.fields(factory)})):
+        fields = {field.name for field in dataclasses.fields(factory)}
+        options = {option for option, kind in annotations(factory).items() if "ClassVar" not in str(kind)}
+        if lost := ", ".join(sorted(options - fields)):
+            remedy = f"decorate {factory.__name__} with @dataclasses.dataclass(frozen=True)"
+            raise InputError(f"{self.noun} {name!r}: {lost} would be no option of {source}; {remedy}")
+        if taken := ", ".join(sorted(ARGUMENTS & fields)):
             raise InputError(
                 f"{self.noun} {name!r}: {source} has an option named like an argument of train, {taken}; rename it"
             )

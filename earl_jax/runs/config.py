@@ -183,10 +183,12 @@ class RunConfig:
         """
         if trained is not None and trained != _registered_class(registry, name):
             cls, kind = trained.rpartition(":")[2].rpartition(".")[2], registry.kind
+            remedy = f"import that module and call earl_jax.register_{kind}({name!r}, {cls}), or pass"
+            if name in registry.names():
+                remedy = "another class has its name; pass"
             raise InputError(
                 f"this run was trained with {registry.noun} {name!r} as an object of {trained}, which is not "
-                f"registered here; import that module and call earl_jax.register_{kind}({name!r}, {cls}), or pass the "
-                f"object to continue the run: earl_jax.resume(folder, {kind}=...)"
+                f"registered here; {remedy} the object to continue the run: earl_jax.resume(folder, {kind}=...)"
             )
         if not self.imports or name in registry.names():
             return

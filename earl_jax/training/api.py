@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from earl_jax.algos import Method, has_default_scale, method_for
-from earl_jax.envs import Env, env_class, make, with_engine, without_budget
+from earl_jax.algos import Method, has_default_scale
+from earl_jax.envs import Env, with_engine, without_budget
 from earl_jax.errors import InputError, brief
 from earl_jax.metrics.continuing import mostly_faults
 from earl_jax.options.forks import require_jax
@@ -18,15 +18,16 @@ from earl_jax.options.presets import ALGO
 from earl_jax.options.schedule import Schedule
 from earl_jax.options.seeds import SEEDS, seed_list
 from earl_jax.options.values import COUNT, TimeLimit, require, require_object
-from earl_jax.protocol import SETTINGS, Deployment, Setting, setting_of, split_setting, with_explicit_horizon
+from earl_jax.protocol import Deployment, Setting
 from earl_jax.runs.checkpoint import newest
-from earl_jax.runs.config import RESERVED, RunConfig
+from earl_jax.runs.config import RunConfig
 from earl_jax.runs.contents import has_results
 from earl_jax.runs.files import warn
 from earl_jax.runs.folder import RunFolder
 from earl_jax.runs.hosts import failing_at_once, first_host
 from earl_jax.runs.logging import Log, check_logs
 from earl_jax.runs.policies import policies_step
+from earl_jax.training.build import build
 from earl_jax.training.result import Result
 from earl_jax.training.runner import Program, Run
 from earl_jax.training.stopping import Stopped
@@ -104,12 +105,8 @@ def make_run(
     env: str | Env, algo: str | Method, options: dict[str, Any], seeds: Any, schedule: Schedule, engine: str | None
 ) -> Run:
     """Return the run that arguments of `train` describe, without a folder and logs. Errors as `train`."""
-    task, setting, rest = split_options(env, options)
+    task, method, setting = build(env, algo, options)
     task = with_engine(task, engine)
-    if rest and not isinstance(algo, str):
-        fix = "go with a method's name; this method is an object: use .replace(...)"
-        raise InputError(f"options {', '.join(rest)} {fix}")
-    method = method_for(task, algo, **rest) if isinstance(algo, str) else algo
     config = RunConfig.from_objects(task, method, setting, seed_list(seeds), schedule)
     return Run.resolve(config, task, method)
 
@@ -243,51 +240,3 @@ def _create_folder(
     if not first_host():
         return RunFolder(path, run.config, names)
     return RunFolder.create(path, run.config, engine, names, overwrite)
-
-
-def split_options(env: str | Env, options: dict[str, Any]) -> tuple[Env, Setting, dict[str, Any]]:
-    """Return the environment of the task `env`, the setting (`setting` in `options`), and the method's options.
-
-    Raises:
-        ValueError: the task or the setting is unknown, or one of their options is invalid.
-    """
-    rest = dict(options)
-    chosen = rest.pop("setting", Deployment.name)
-    setting = setting_of(chosen)
-    task_options = _taken(rest, env_class(env) if isinstance(env, str) else env)
-    setting_options = _taken(rest, setting)
-    for owner, given, taken in (("task", env, task_options), ("setting", chosen, setting_options)):
-        if taken and not isinstance(given, str):
-            name, value = next(iter(taken.items()))
-            fix = f"dataclasses.replace({owner}, {name}={value!r})"
-            raise InputError(f"{name} is an option of the {owner}, which is an object here: pass {fix}")
-    for other in SETTINGS.values():
-        if name := min(_taken(dict(rest), other), default=None):
-            raise InputError(f"{name} is an option of the setting {other.name!r}, but the setting is {setting.name!r}")
-    reserved = RESERVED & set(rest)
-    if reserved:
-        raise InputError(f"there is no option {min(reserved)!r}")
-    task = make(env, **task_options) if isinstance(env, str) else env
-    if "engine" in rest:
-        with_engine(task, rest["engine"])  # an error of a task without one
-    setting = with_explicit_horizon(setting_of(chosen, **setting_options), task, task_options)
-    task, setting = split_setting(task, setting)
-    _require_plain(task)
-    _require_plain(setting)
-    return setting.wrap(task), setting, rest
-
-
-def _require_plain(owner: Env | Setting) -> None:
-    """Raise an InputError that names a field of `owner` whose value has no hash, by which jax looks up a program."""
-    for field in dataclasses.fields(owner):
-        value = getattr(owner, field.name)
-        try:
-            hash(value)
-        except TypeError:
-            raise InputError(f"{owner.name}: {field.name} must be a plain value, not {brief(value)}") from None
-
-
-def _taken(options: dict[str, Any], owner: Any) -> dict[str, Any]:
-    """Remove the fields of the dataclass `owner` from `options`, and return them."""
-    fields = {field.name for field in dataclasses.fields(owner)}
-    return {name: options.pop(name) for name in list(options) if name in fields}

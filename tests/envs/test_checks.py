@@ -7,7 +7,9 @@ import pytest
 
 import earl_jax
 from earl_jax.adapters.gymnasium import ResetFreeEnv
+from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.errors import InputError
+from earl_jax.metrics.deployed import deployed
 from earl_jax.protocol import Protocol, advance, init
 from earl_jax.training import Problem
 from tests.envs.chain import Chain
@@ -51,12 +53,35 @@ def test_odd_goals_and_functions_are_refused_by_training_adapters_and_a_loop_of_
         ("transition", lambda env, state, action: (1, 2), r"a step must return \(data, vector, info\), not a tuple of 2"),
         ("transition", lambda env, state, action: (state.data, 1, {"count": 1}), "sets count in info, .* too; reset sets goal"),
         ("reset", lambda env, key: Chain.reset(env, key).replace(data=jnp.zeros(1, jnp.int32)), r".data was int32\[1\]"),
+        ("reset", lambda env, key: (jnp.zeros(2), Chain.reset(env, key)), r"reset must return a State, from make_state, not \("),
+        ("reset", lambda env, key: env.make_state(None, jnp.zeros(1), {"x": 1}), r"must have the goal, not only \['x'\]"),
+        ("goal_reward", lambda env, state, goal: jnp.zeros(2), r"what goal_reward returns must be number\[\], not float32\[2\]"),
     ],
 )  # fmt: skip
 def test_a_life_refuses_what_a_function_of_a_state_may_not_return(member, value, message):
     env, protocol = type("Odd", (Chain,), {member: value})(), Protocol(8, 4)
     with pytest.raises(InputError, match=f"chain: .*{message}"):
         advance(env, init(env, protocol, jax.random.key(0)), jnp.ones(1))
+
+
+def test_an_override_of_step_is_refused_because_training_would_not_call_it():
+    with pytest.raises(
+        InputError, match=r"Odd\.step: training calls start_step and finish_step instead; override finish_st"
+    ):
+        type("Odd", (Chain,), {"step": lambda env, state, action: state})
+
+
+def test_wide_starts_that_differ_from_reset_name_the_leaf():
+    def reset(env, key):
+        state = TabletopOrganization.reset(env, key)
+        return state.replace(info={**state.info, "extra": jnp.zeros(())})
+
+    env = type("Odd", (TabletopOrganization,), {"reset": reset})()
+    message = (
+        r"starts.wide must return a state with the same leaves, but .info\['extra'\] was float32\[1\] and is missing"
+    )
+    with pytest.raises(InputError, match=message):
+        deployed(env, lambda obs: jnp.zeros(3), jax.random.key(0), 2, 1, wide=env.starts.wide)
 
 
 def test_a_control_that_returns_the_command_alone_is_refused():

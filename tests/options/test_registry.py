@@ -8,6 +8,7 @@ import pytest
 import earl_jax
 from earl_jax import SAC, Learner, envs
 from earl_jax.adapters.earl_benchmark import ORIGINAL_NAMES
+from earl_jax.envs.tabletop import TabletopOrganization
 from earl_jax.options.registry import ARGUMENTS, Registry
 from tests.conftest import write_files
 
@@ -106,6 +107,9 @@ def test_a_class_is_registered_under_its_own_name_and_with_its_own_kind_only():
     registry = Registry("env", "earl_jax.envs.base:Env", {})
     with pytest.raises(ValueError, match="the registered class has the name 'tabletop_organization'"):
         registry.register("table", type(envs.make("tabletop_organization")))
+    for name in ("my/table", "../table", "my table", "2nd_table"):  # no folder or no id of Gymnasium
+        with pytest.raises(ValueError, match=r"a name has letters, digits, _, - and \. only, and begins with a letter"):
+            registry.register(name, type("Table", (TabletopOrganization,), {"name": name}))
     with pytest.raises(ValueError, match="the registered class must be a dataclass and a subclass of Env, not <class"):
         registry.register("sac", SAC)
     registry = Registry("learner", "earl_jax.algos.learner.base:Learner", {})
@@ -114,6 +118,11 @@ def test_a_class_is_registered_under_its_own_name_and_with_its_own_kind_only():
     own = type("Own", (SAC,), {"name": "own", "eval_every": 1, "__annotations__": {"eval_every": int}})
     with pytest.raises(ValueError, match="has an option named like an argument of train, eval_every; rename it"):
         registry.register("own", own)
+    plain = type("Plain", (TabletopOrganization,), {"name": "plain", "width": 1.0, "__annotations__": {"width": float}})
+    with pytest.raises(
+        ValueError, match=r"width would be no option of .*; decorate Plain with @dataclasses\.dataclass"
+    ):
+        Registry("env", "earl_jax.envs.base:Env", {}).register("plain", plain)
     assert registry.names() == []
     parameters = inspect.signature(earl_jax.train).parameters
     assert {*parameters, "name"} - {"engine", "options"} == ARGUMENTS

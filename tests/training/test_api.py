@@ -1,6 +1,8 @@
 """Training from Python: results, hyper-parameters, and invalid input."""
 
+import dataclasses
 import functools
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +21,7 @@ from earl_jax.runs.config import method_options
 from earl_jax.runs.files import RunWarning
 from earl_jax.runs.table import COLUMNS
 from earl_jax.training import select_seed, split_options, train
+from earl_jax.training.build import build
 from tests import conftest
 from tests.cli.process import run
 from tests.conftest import ALGOS, assert_all_finite, make_train_state, tiny_method, tiny_train, without_shares
@@ -92,6 +95,26 @@ def test_options_are_split_into_task_setting_and_method():
     assert setting.protocol(env).train_horizon == 100_000
     with pytest.raises(InputError, match="tabletop_organization is plain arithmetic: it has no physics engine"):
         split_options("tabletop_organization", {"engine": "mjx"})
+
+
+@dataclasses.dataclass(frozen=True)
+class Discounted(TabletopOrganization):
+    """Tabletop with an option that learners have too."""
+
+    name: ClassVar[str] = "discounted"
+    discount: float = 1.0
+
+
+@pytest.mark.usefixtures("registries")
+def test_an_option_of_both_the_task_and_the_method_is_refused_and_is_the_tasks_beside_an_object():
+    """The task used to take it without a word, and the learner kept its default."""
+    earl_jax.register_env("discounted", Discounted)
+    with pytest.raises(
+        InputError, match="discount is an option of the task 'discounted' and of the method 'naive': pass the"
+    ):
+        build("discounted", "naive", {"discount": 0.5})
+    task, method, _ = build("discounted", earl_jax.make_algo("naive"), {"discount": 0.5})
+    assert (task, method.learner.discount) == (Discounted(discount=0.5), 0.99)
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ class CheetahRun(MujocoEnv):
     control_step: ClassVar[float] = 0.01
 
     def reset(self, key: jax.Array) -> State:
-        data = PhysicsState.at(**random_row(key, assets.starts(self.name)))
+        data = PhysicsState.at(**random_row(key, assets.starts(assets.asset_name(self))))
         return self.make_state(data, _observed(data), {"goal": jnp.zeros((0,))})
 
     def control(self, state: State, action: jax.Array) -> tuple[PhysicsState, jax.Array]:

@@ -103,7 +103,7 @@ class SawyerDoor(Sawyer):
     def _wide_start(self, key: jax.Array) -> State:
         start_key, far_key, angle_key, arm_key = jax.random.split(key, 4)
         angle = jax.random.uniform(angle_key, minval=STOP, maxval=-NOISE)
-        rest = random_row(arm_key, assets.starts(self.name))
+        rest = random_row(arm_key, assets.starts(assets.asset_name(self)))
         still = jnp.zeros_like(rest["qpos"])
         arm = Pose(rest["target"], rest["qpos"], still, still, rest["hand"], grip=1.0)
         far = self.start_at(angle[None], handle_at(angle), jnp.asarray(self.goal_states)[0], arm)
