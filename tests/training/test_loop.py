@@ -37,9 +37,8 @@ EXPERT_STEPS = 4820
 """Whole cycles of R3L with an expert: 41 steps to the goal and 200 of perturbation."""
 
 
-@pytest.mark.parametrize("algo", ["r3l", "vaprl"])
-def test_chunks_equal_one_scan_bit_for_bit(problem, algo):
-    method = tiny_method(algo)
+def test_chunks_equal_one_scan_bit_for_bit(problem):
+    method = tiny_method("vaprl")
     start = make_train_state(problem, method, [0, 1])
     whole = run_whole(problem, method, start, 60)
     chunked = advance(problem, method, start, 60)
@@ -48,9 +47,10 @@ def test_chunks_equal_one_scan_bit_for_bit(problem, algo):
     assert int(whole.step) == 60
 
 
-def test_a_seed_trains_the_same_alone_and_beside_others(problem):
-    beside = advance(problem, tiny_method("fbrl", 2), make_train_state(problem, tiny_method("fbrl", 2), [4, 5]), 40)
-    alone = advance(problem, tiny_method("fbrl", 1), make_train_state(problem, tiny_method("fbrl", 1), [5]), 40)
+def test_a_seed_lives_the_same_alone_and_beside_others(problem):
+    """What it learns is compared in tests/sweeps/test_worker.py."""
+    lives = [(tiny_method("fbrl", len(seeds)), seeds) for seeds in ([4, 5], [5])]
+    beside, alone = (advance(problem, own, make_train_state(problem, own, seeds), 40, True) for own, seeds in lives)
     last = take_lane(beside.lanes, slice(1, 2))
     assert_equal_trees(last.env_state, alone.lanes.env_state, rtol=1e-4, atol=1e-4)
     assert_equal_trees(last.goal_indices, alone.lanes.goal_indices)
@@ -120,13 +120,16 @@ def test_a_phase_of_a_fixed_length_is_rewarded_at_each_step_at_its_goal_and_coun
 
 
 class Recorder(Method):
-    """Counts its refreshes and remembers the latest row of the batch that it learnt from, which its rewards tell."""
+    """Acts out of bounds, counts its refreshes and remembers the latest row that it learnt from, told by its rewards."""
 
     name = "recorder"
     refresh_every = 16
 
     def init(self, key, env, goals):
         return {"refreshes": jnp.zeros((), jnp.int32), "row": jnp.zeros((), jnp.int32)}
+
+    def act(self, *_):
+        return jnp.array([5.0])
 
     def refresh(self, key, env, goals, agent, batch, method_state):
         return {**method_state, "refreshes": method_state["refreshes"] + 1}
@@ -139,15 +142,21 @@ class Recorder(Method):
         return agent, {**method_state, "row": batch.reward.max().astype(jnp.int32)}, diagnostics
 
 
-def test_a_batch_holds_transitions_stored_before_its_step_and_a_refresh_begins_every_block():
-    """A call of 20 steps has blocks of 4 steps, since 16 does not divide it."""
+@pytest.fixture(scope="module")
+def recorded():
+    """Two lanes that start without any transition: their problem, their method and their first state."""
     problem = make_problem(Chain(train_horizon=0, eval_horizon=8))
-    method = per_lane(Recorder(SAC(hidden_sizes=(8,), batch_size=256)), 2)
-    state = make_train_state(problem, method, [0, 1])
-    assert state.lanes.visits is None, "the task has no map"
-    state = advance(problem, method, state, CHUNK)
+    method = per_lane(Recorder(SAC(hidden_sizes=(8,), batch_size=256, random_steps=0)), 2)
+    return problem, method, make_train_state(problem, method, [0, 1])
+
+
+def test_a_batch_holds_earlier_transitions_with_clipped_actions_and_a_refresh_begins_every_block(recorded):
+    """A call of 20 steps has blocks of 4 steps, since 16 does not divide it."""
+    assert recorded[-1].lanes.visits is None, "the task has no map"
+    state = advance(*recorded, CHUNK)
     np.testing.assert_array_equal(state.lanes.method_state["refreshes"], [5, 5])
     np.testing.assert_array_equal(state.lanes.method_state["row"], [CHUNK - 2] * 2)
+    assert np.unique(state.replay.action[:CHUNK]).tolist() == [1.0], "as the environment takes them"
 
 
 def test_what_functions_of_a_method_return_has_its_shape_and_kind():
@@ -183,20 +192,11 @@ def test_what_functions_of_a_method_return_has_its_shape_and_kind():
         jax.eval_shape(functools.partial(lived, learner=learner))
 
 
-def test_the_replay_has_the_clipped_actions_which_the_environment_takes():
-    problem = make_problem(Chain(train_horizon=0, eval_horizon=8))
-    loud = type("Loud", (Method,), {"name": "loud", "act": lambda self, *_: jnp.array([5.0])})
-    method = per_lane(loud(SAC(hidden_sizes=(8,), batch_size=16, random_steps=0)), 2)
-    state = run_whole(problem, method, make_train_state(problem, method, [0, 1]), 4)
-    assert np.unique(state.replay.action[:4]).tolist() == [1.0]
-
-
-def test_a_life_that_starts_empty_learns_from_its_second_step_on():
+def test_a_life_that_starts_empty_learns_from_its_second_step_on(recorded):
     """Its first batch was a row of zeros that nothing had written."""
-    problem = make_problem(Chain(train_horizon=0, eval_horizon=8))
-    method = per_lane(Recorder(SAC(hidden_sizes=(8,), batch_size=16, random_steps=0)), 2)
-    start = make_train_state(problem, method, [0, 1])
-    first, second = [run_whole(problem, method, start, steps) for steps in (1, 2)]
+    problem, method, start = recorded
+    first = advance(problem, method, start, 1)
+    second = advance(problem, method, first, 1)
     assert_equal_trees(first.lanes.agent, start.lanes.agent)
     assert first.lanes.counters.diagnostics["temperature"].tolist() == [0.0, 0.0]
     assert (np.asarray(second.lanes.agent.log_temperature) != start.lanes.agent.log_temperature).all()
@@ -223,15 +223,16 @@ def test_batches_drawn_ahead_are_those_of_each_step(problem, monkeypatch):
     assert_equal_trees(ahead.lanes.agent, expected.lanes.agent, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("keep_demos", [True, False])
 @pytest.mark.parametrize(("algo", "capacity"), [("naive", CHUNK), ("fbrl", CHUNK // 2)])
-def test_demonstrations_are_sampled_until_own_steps_fill_the_replay_or_kept(problem, algo, capacity, keep_demos):
+def test_demonstrations_are_sampled_until_own_steps_fill_the_replay_or_kept(problem, algo, capacity):
     """Two controllers have twice the capacity of one."""
-    method = tiny_method(algo, replay_capacity=capacity, keep_demos=keep_demos, batch_size=1024)
+    method = tiny_method(algo, replay_capacity=capacity, batch_size=1024)
     state = advance(problem, method, make_train_state(problem, method, [0, 1]), CHUNK, warmup=True)
-    rows = jax.jit(lambda step: loop.sample(method, state.replace(step=step), state.lanes.key)[1].row)
-    demonstrated = [bool((rows(step) < state.replay.first_row).any()) for step in (CHUNK - 1, CHUNK)]
-    assert demonstrated == [True, keep_demos]
+    rows = jax.jit(lambda method, step: loop.sample(method, state.replace(step=step), state.lanes.key)[1].row)
+    for keep_demos in (True, False):
+        own = tiny_method(algo, replay_capacity=capacity, batch_size=1024, keep_demos=keep_demos)
+        demonstrated = [bool((rows(own, step) < state.replay.first_row).any()) for step in (CHUNK - 1, CHUNK)]
+        assert demonstrated == [True, keep_demos]
 
 
 def test_a_step_started_on_the_host_and_finished_later_equals_a_whole_step(door, monkeypatch):

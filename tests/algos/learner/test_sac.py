@@ -73,7 +73,7 @@ def test_float32_requests_full_float32_forward_and_backward_and_tf32_does_not(ba
 
 @pytest.mark.parametrize(
     ("hidden_sizes", "outputs", "layer_norm"),
-    [((), 5, False), ((16,), 1, False), ((32, 16), 5, False), ((24, 24, 24), 1, False), ((32, 16), 5, True)],
+    [((), 5, False), ((16,), 1, False), ((24, 24, 24), 1, False), ((32, 16), 5, True)],
 )
 def test_bf16_networks_have_the_gradients_of_float32(hidden_sizes, outputs, layer_norm):
     """Biases keep every unit far from the kink of its ReLU, so that the two differ by rounding alone."""
@@ -139,9 +139,9 @@ def test_a_subclass_can_add_a_diagnostic(batch):
             agent, diagnostics = super().update(key, agent, batch)
             return agent, {**diagnostics, "mean": batch.reward.mean()}
 
-    sac = Watched(hidden_sizes=(4,))
-    agent = sac.init(jax.random.key(0), batch.obs.shape[1], batch.action.shape[1])
-    assert list(sac.update(jax.random.key(1), agent, batch)[1]) == list(Watched.diagnostics)
+    agent = jax.eval_shape(lambda: SMALL.init(jax.random.key(0), 4, SIZE))
+    _, diagnostics = jax.eval_shape(Watched().update, jax.random.key(1), agent, batch)
+    assert set(diagnostics) == set(Watched.diagnostics)
 
 
 def test_a_value_is_the_smallest_of_the_critics_without_an_entropy_term(batch):
