@@ -80,14 +80,14 @@ def test_the_papers_variant_lists_the_bulbs_pose_the_distances_and_its_goal(mode
     quat = np.float32(turn.as_quat(scalar_first=True))
     state = state.replace(data=state.data.replace(qpos=state.data.qpos.at[26:].set(quat)))
     hand = np.float32([0.71, 0.18, 0.84])
-    vector = np.asarray(PAPER.observe(state, np.zeros(22), state.data, jnp.tile(hand, 9))[1])
+    vector = np.asarray(program(PAPER, "observe")(state, np.zeros(22), state.data, np.tile(hand, 9))[1])
     assert (len(vector), PAPER.observation_size, 16 + 7 + 7) == (35, 38, model.nq)
     bulb = np.asarray(state.data.qpos[23:26])
     np.testing.assert_array_equal(vector[:26], np.concatenate([state.data.qpos[7:23], state.data.qpos[:7], bulb]))
     np.testing.assert_allclose(vector[26:29], [0.4, -0.9, 2.5], atol=1e-6)
     np.testing.assert_allclose(vector[29:], np.concatenate([hand - bulb, bulb - task.TARGET]), atol=1e-6)
     np.testing.assert_array_equal(state.obs[35:], task.TARGET)
-    other = PAPER.with_goal(state, jnp.asarray(PAPER.initial_states[0]))
+    other = program(PAPER, "with_goal")(state, PAPER.initial_states[0])
     np.testing.assert_array_equal(other.obs[:35], state.obs[:35], err_msg="the state depends on no goal")
 
 

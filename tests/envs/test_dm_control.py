@@ -101,7 +101,7 @@ def test_fish_mouth_frame_and_reward_by_mujocos_geometry():
     away = 0.016 * np.arange(12)[:, None] * np.array([0.6, 0.0, 0.8])
     first = starts(FISH, count=12).replace(info={"goal": jnp.asarray(FISH.goal_states[:12])})
     actions = np.linspace(-1, 1, 60, dtype=np.float32).reshape(1, 12, 5)
-    states = jax.tree.map(lambda leaf: leaf[0], run_actions(FISH, first, actions))
+    states = jax.tree.map(lambda leaf: leaf[0], jax.device_get(run_actions(FISH, first, actions)))
     np.testing.assert_array_equal(states.data.mocap_pos[:, 0], FISH.goal_states[:12], "the target is drawn at the goal")
     obs = np.hstack([states.obs[:, :33], states.obs[:, 21:24] + away]).astype(np.float32)
     values = [np.asarray(program(FISH, name)(obs)) for name in ("reward", "success", "target_seen")]

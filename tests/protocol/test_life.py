@@ -185,13 +185,13 @@ def test_a_life_of_a_name_or_a_setting_is_refused():
 
 
 def test_a_jitted_step_can_donate_what_is_returned_outside_jit(env):
-    protocol, still = Protocol(0, 4, eval_episodes=1), jnp.zeros(env.action_size)
-    step = jax.jit(lambda life: advance(env, life, still)[0], donate_argnums=0)
-    life = init(env, protocol, KEYS[0])
+    chain, protocol, still = Chain(), Protocol(0, 4, eval_episodes=1), jnp.zeros(1)
+    step = jax.jit(lambda life: advance(chain, life, still)[0], donate_argnums=0)
+    life = init(chain, protocol, KEYS[0])
     for function in (intervene, set_goal, lambda env, life: evaluate(env, protocol, life, lambda obs: still)[0]):
-        life = function(env, step(life))
+        life = function(chain, step(life))
     assert step(life).step == 4
-    jax.jit(env.step, donate_argnums=0)(env.reset(KEYS[0]), still)
+    jax.jit(env.step, donate_argnums=0)(env.reset(KEYS[0]), jnp.zeros(env.action_size))
     helped, goal = HelpBudget(Chain(), budget=2.0), jnp.ones(1)
     for state in (helped.reset(KEYS[0]), helped.with_goal(helped.reset(KEYS[0]), goal)):
         arrays = [goal, *jax.tree.leaves(state)]

@@ -40,8 +40,9 @@ def test_policies_npz_holds_policies_of_the_task_without_help_of_the_averaged_ac
     policy = load_policies(run.folder)
     obs = task.reset(jax.random.key(3)).obs
     with_full_budget = jnp.insert(obs, task.state_size, 1.0)
+    greedy = jax.jit(method.learner.greedy)
     for lane in (0, 1):
-        expected = method.learner.greedy(take_lane(actor, lane), with_full_budget)[:-1]
+        expected = greedy(take_lane(actor, lane), with_full_budget)[:-1]
         of_lane = Policy.of(helped, take_lane(method, lane), take_lane(lanes, lane))
         for loaded in (select_seed(policy, lane), of_lane):
             np.testing.assert_allclose(loaded(obs), expected, atol=1e-6)

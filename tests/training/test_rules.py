@@ -41,10 +41,15 @@ def test_lanes_of_one_program_follow_their_own_rules(env, problem):
 
 def test_interventions_by_chance_do_not_choose_the_start_that_follows():
     """Their key used to be the second one into which a reset splits its own, with which fish_swim turns the fish."""
-    keys = jax.vmap(step_keys, (None, 0))(jax.random.key(0), jnp.arange(4000))
-    chance, start = jax.vmap(lambda own: (own.chance, jax.random.split(own.reset)[1]))(keys)
-    uniform = jax.vmap(jax.random.uniform)
-    assert uniform(start)[uniform(chance) < 0.1].mean() == pytest.approx(0.5, abs=0.06)
+
+    @jax.jit
+    @jax.vmap
+    def draws(step):
+        keys = step_keys(jax.random.key(0), step)
+        return [jax.random.uniform(key) for key in (keys.chance, jax.random.split(keys.reset)[1])]
+
+    chance, start = map(np.asarray, draws(jnp.arange(4000)))
+    assert start[chance < 0.1].mean() == pytest.approx(0.5, abs=0.06)
 
 
 def test_a_later_run_with_other_rules_compiles_nothing():
