@@ -76,7 +76,7 @@ def test_braxs_trainers_do_not_truncate_a_lifetime():
 
 def test_a_set_goal_stays_in_each_lane_until_the_choice_is_given_back():
     env = wrap_for_training(ResetFreeEnv(TABLETOP, attempt_steps=1), episode_length=3)
-    set_goal, state = jax.vmap(env.unwrapped.set_goal), jax.jit(env.reset)(jax.random.split(KEY))
+    set_goal, state = jax.jit(jax.vmap(env.unwrapped.set_goal)), jax.jit(env.reset)(jax.random.split(KEY))
     state = set_goal(state, state.obs[:, :6])
     for _ in range(2):
         state = jax.jit(env.step)(state, jnp.tile(STAY, (2, 1)))

@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import warnings
 from unittest.mock import Mock
 
 import numpy as np
@@ -111,22 +110,6 @@ def test_export_writes_the_life_of_a_seed_as_a_minari_dataset(finished, tmp_path
     one_line(run("export", finished, "--seed", "5"), f"no seed 5 in {finished}; choose from 0, 1")
     one_line(run("export", finished, "--direction", "forward"), "leave out --direction")
     one_line(run("export", TASK, "--seed", "1"), "leave out --seed")
-
-
-def test_a_damaged_checkpoint_is_skipped_in_one_line(finished, tmp_path, monkeypatch):
-    def show(message, category, *location):  # to stderr, as Python does and pytest does not
-        sys.stderr.write(warnings.formatwarning(message, category, *location[:2]))
-
-    monkeypatch.setattr(warnings, "showwarning", show)
-    folder = shutil.copytree(finished, tmp_path / "damaged")
-    for path in (folder / "checkpoints/000000120").rglob("*.npz"):
-        path.write_bytes(path.read_bytes()[:-7])
-    code, _, err = run("resume", folder)
-    assert code == 0, err
-    assert err.splitlines()[0].startswith("earl-jax: checkpoint")
-    assert "000000120 is damaged" in err
-    assert "continuing from 000000080" in err
-    assert (folder / "metrics.csv").read_bytes() == (finished / "metrics.csv").read_bytes()
 
 
 @pytest.mark.parametrize(

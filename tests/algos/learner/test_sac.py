@@ -21,6 +21,8 @@ SMALL = SAC(hidden_sizes=(32, 32), batch_size=64, reward_scale=1.0)
 # Each is one program; called eagerly, every operation would be one.
 init = jax.jit(SAC.init, static_argnames=("obs_size", "action_size", "entropy_free_pairs"))
 q_values = jax.jit(SAC.q_values)
+act = jax.jit(SAC.act)
+value = jax.jit(SAC.value)
 
 
 def test_tanh_normal_has_the_paper_s_density():
@@ -146,8 +148,8 @@ def test_a_subclass_can_add_a_diagnostic(batch):
 
 def test_a_value_is_the_smallest_of_the_critics_without_an_entropy_term(batch):
     agent, key = init(SHALLOW, jax.random.key(1), 4, SIZE, entropy_free_pairs=1), jax.random.key(2)
-    values = np.asarray(q_values(SHALLOW, agent.critics, batch.obs, SHALLOW.act(key, agent.actor, batch.obs)))
-    np.testing.assert_allclose(SHALLOW.value(key, agent, batch.obs), values[2:].min(axis=0), rtol=1e-4, atol=1e-5)
+    values = np.asarray(q_values(SHALLOW, agent.critics, batch.obs, act(SHALLOW, key, agent.actor, batch.obs)))
+    np.testing.assert_allclose(value(SHALLOW, key, agent, batch.obs), values[2:].min(axis=0), rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize(

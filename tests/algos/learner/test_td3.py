@@ -86,14 +86,15 @@ def test_with_utd_the_critics_learn_from_each_batch_and_the_policy_once(agent, b
 
 def test_the_life_is_noisy_within_the_bounds_and_the_evaluation_is_not(agent, batch):
     obs = 0.2 * batch.obs  # for actions far from the bounds
-    greedy = np.asarray(SMALL.greedy(agent.actor, obs))
+    greedy = np.asarray(jax.jit(SMALL.greedy)(agent.actor, obs))
     np.testing.assert_allclose(greedy, np.tanh(network(agent.actor, obs)), rtol=1e-4)
     keys = jax.random.split(jax.random.key(5), 4000)
-    acted = jax.vmap(lambda key: SMALL.act(key, agent.actor, obs))(keys)
+    acted = jax.jit(jax.vmap(SMALL.act, (0, None, None)))(keys, agent.actor, obs)
     np.testing.assert_allclose((acted - greedy).std(axis=0), 0.1, atol=0.01)
     lowest = value(agent.critics, obs, acted[0]).min(axis=0)
-    np.testing.assert_allclose(SMALL.value(keys[0], agent, obs), lowest, rtol=1e-4, atol=1e-5)
-    assert (np.abs(SMALL.replace(exploration_noise=5.0).act(jax.random.key(6), agent.actor, batch.obs)) <= 1).all()
+    np.testing.assert_allclose(jax.jit(SMALL.value)(keys[0], agent, obs), lowest, rtol=1e-4, atol=1e-5)
+    loud = SMALL.replace(exploration_noise=5.0)
+    assert (np.abs(jax.jit(loud.act)(jax.random.key(6), agent.actor, batch.obs)) <= 1).all()
 
 
 def test_a_method_takes_another_learner_by_name_and_keeps_what_it_presets_for_all():
