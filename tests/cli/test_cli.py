@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import warnings
 from unittest.mock import Mock
 
 import numpy as np
@@ -15,7 +16,7 @@ from earl_jax import InputError, __version__, cli
 from earl_jax.runs.checkpoint import newest
 from earl_jax.runs.provenance import made_by
 from earl_jax.training import load_transitions
-from tests.cli.process import ENVIRONMENT, TASK, one_line, run, run_process, start, succeed, training, wait_until
+from tests.cli.process import ENVIRONMENT, TASK, one_line, run, start, succeed, training, wait_until
 
 TRAIN = ["train", TASK]
 SWEEP = ["sweep", "nowhere.toml"]
@@ -45,11 +46,15 @@ def test_a_run_is_shown_without_checkpoints(finished, tmp_path):
     assert f"made by: earl-jax {made_by(printed['provenance'])}" in shown
 
 
-def test_json_has_the_warnings_that_are_printed(finished, tmp_path):
+def test_json_has_the_warnings_that_are_printed(finished, tmp_path, monkeypatch):
+    def show(message, category, *location):  # to stderr, as Python does and pytest does not
+        sys.stderr.write(warnings.formatwarning(message, category, *location[:2]))
+
+    monkeypatch.setattr(warnings, "showwarning", show)
     assert "warnings" not in json.loads(succeed("table", finished, "--json"))
     shutil.copytree(finished, tmp_path / "a")
     shutil.copytree(finished, tmp_path / "b")
-    code, out, err = run_process("table", tmp_path, "--json")
+    code, out, err = run("table", tmp_path, "--json")
     [warning] = json.loads(out)["warnings"]
     assert re.search(r"left out: .*b has the same numbers of seed 0 as .*a; a seed counts once", warning)
     assert (code, err) == (0, f"earl-jax: {warning}\n")

@@ -185,7 +185,8 @@ def test_only_the_critics_learn_in_the_warmup_and_nothing_without_learning():
 
 
 def test_a_stuck_phase_explores_with_random_actions_that_are_repeated():
-    actor = earl_jax.make_algo("cfbrl", hidden_sizes=[16]).learner.init(KEY, 12, 3).actor
+    learner = earl_jax.make_algo("cfbrl", hidden_sizes=[16]).learner
+    actor = jax.jit(lambda: learner.init(KEY, 12, 3).actor)()
 
     @jax.jit
     def is_random(method, step, phase_step, lane_keys):
