@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -33,6 +34,13 @@ def test_a_grid_at_stdin_is_planned_without_jax_in_the_launcher_or_a_module_of_t
     assert "program 1: 4 lanes, steps 0 to 120, replay" in printed
     assert "2 runs, 0 of them done; programs to run: 1" in printed
     assert not (tmp_path / "out").exists()
+
+
+def test_a_grid_at_stdin_from_a_file_is_planned_by_its_name(grid, monkeypatch):
+    monkeypatch.setattr(launcher, "start", planner := Mock(side_effect=ZeroDivisionError))
+    with grid.open() as file, pytest.raises(ZeroDivisionError):
+        launcher.plan_sweep(f"/dev/fd/{file.fileno()}", grid.parent)
+    assert planner.call_args.args[0]["grid"] == str(grid)
 
 
 @pytest.mark.slow

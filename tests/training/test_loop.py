@@ -37,8 +37,10 @@ EXPERT_STEPS = 4820
 """Whole cycles of R3L with an expert: 41 steps to the goal and 200 of perturbation."""
 
 
-def test_chunks_equal_one_scan_bit_for_bit(problem):
-    method = tiny_method("vaprl")
+@pytest.mark.parametrize("algo", ["naive", "vaprl"])
+def test_chunks_equal_one_scan_bit_for_bit(problem, algo):
+    """The scan of VaPRL has a block for each refresh, as long as a chunk."""
+    method = tiny_method(algo)
     start = make_train_state(problem, method, [0, 1])
     whole = run_whole(problem, method, start, 60)
     chunked = advance(problem, method, start, 60)
