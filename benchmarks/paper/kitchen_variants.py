@@ -22,10 +22,6 @@ class MeanReturnKitchen(FrankaKitchen):
     name: ClassVar[str] = "mean_return_kitchen"
 
     @property
-    def model(self) -> str:
-        return FrankaKitchen.name
-
-    @property
     def initial_states(self) -> np.ndarray:
         return self._kitchen.initial_states.mean(axis=0, keepdims=True)
 

@@ -19,6 +19,7 @@ from earl_jax.envs.help_budget import without_help
 from earl_jax.envs.starts import EVAL_PAIRS, STARTS
 from earl_jax.envs.state import tree_where
 from earl_jax.errors import InputError, brief, require_known
+from earl_jax.options.forks import require_jax
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require
 from earl_jax.protocol import (
@@ -74,6 +75,7 @@ class Session:
     """The distribution of an episode's start, one of `envs.starts.STARTS`."""
 
     def __post_init__(self):
+        require_jax()
         require_known("mode", self.mode, ("train", "eval"))
         require("attempt_steps", self.attempt_steps, COUNT)
         if self.is_training and self.starts != STARTS[0]:

@@ -77,7 +77,9 @@ DEFAULT = Window()
 def require_window(window: Any) -> None:
     """Raise an InputError if `window` is not a `Window`."""
     if not isinstance(window, Window):
-        raise InputError(f"window must be a Window, such as Window(last=5), not {brief(window)}")
+        raise InputError(
+            f"window must be an earl_jax.metrics.scores.Window, such as Window(last=5), not {brief(window)}"
+        )
 
 
 def final_scores(steps: np.ndarray, values: Any, window: Window = DEFAULT) -> Any:

@@ -21,6 +21,7 @@ from earl_jax.algos.method import TASK, Method
 from earl_jax.envs import Env, without_budget
 from earl_jax.envs.checks import require_result
 from earl_jax.errors import InputError
+from earl_jax.options.forks import require_jax
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.seeds import lane_of
 from earl_jax.runs.config import RunConfig
@@ -71,8 +72,8 @@ class Policy(struct.PyTreeNode, eq=False):
         Raises:
             ValueError: `obs`, or the action of the learner, has a wrong size, or this is a stack of policies.
         """
-        if np.shape(self.learner.discount):
-            raise InputError("this is a stack of policies: use jax.vmap, or select_seed(policies, lane)")
+        require_jax()
+        self._require_single()
         obs = jnp.asarray(obs, jnp.float32)
         if obs.shape[-1:] != (self.obs_size,):
             raise InputError(f"obs has shape {obs.shape}, this policy takes (..., {self.obs_size})")
@@ -82,6 +83,10 @@ class Policy(struct.PyTreeNode, eq=False):
         require_result(f"what greedy of {self.learner.name!r} returns", action, (*obs.shape[:-1], size), "number")
         return action[..., : self.action_size]
 
+    def _require_single(self) -> None:
+        if np.shape(self.learner.discount):
+            raise InputError("this is a stack of policies: use jax.vmap, or select_seed(policies, lane)")
+
     def numpy(self) -> NumpyPolicy:
         """Return this policy in plain NumPy; it can act, be saved and be loaded without jax.
 
@@ -89,6 +94,7 @@ class Policy(struct.PyTreeNode, eq=False):
             ValueError: this is a stack of policies, or a comparison shows that the learner's greedy action is not the
                 tanh of the first outputs of a ReLU network.
         """
+        self._require_single()
         layers = self.actor.get("params", {}) if isinstance(self.actor, dict) else {}
         names = [f"hidden_{number}" for number in range(len(layers))]
         if names and set(layers) == set(names) and np.ndim(layers[names[0]]["bias"]) == 1:
@@ -96,11 +102,11 @@ class Policy(struct.PyTreeNode, eq=False):
             policy = NumpyPolicy(tuple(pairs), self.action_size, self.budget_at)
             obs = np.random.default_rng(0).normal(size=(PROBES, self.obs_size)).astype(np.float32)
             exact = self.replace(learner=self.learner.replace(precision="float32"))
-            if np.allclose(policy(obs), exact(jnp.asarray(obs)), atol=1e-4, equal_nan=True):
+            if np.allclose(policy(obs), exact(obs), atol=1e-4, equal_nan=True):
                 return dataclasses.replace(policy, bf16=self.learner.precision == "bf16")
         raise InputError(
-            f"this policy of the learner {self.learner.name!r} has no NumPy form: it is not one lane whose greedy action "
-            "is the tanh of the first outputs of a ReLU network"
+            f"this policy of the learner {self.learner.name!r} has no NumPy form: its greedy action is not "
+            "the tanh of the first outputs of a ReLU network"
         )
 
 
@@ -133,5 +139,6 @@ def pretrained_env(task: str, method: str) -> Env:
 
 def actor_of_arrays(arrays: dict[str, np.ndarray]) -> Any:
     """Return the actor with the parameters `arrays`, named `hidden_0.kernel` and so on, as float32."""
+    require_jax()
     leaves = {name: jnp.asarray(array, jnp.float32) for name, array in arrays.items()}
     return {"params": unflatten_dict(leaves, sep=".")}

@@ -84,7 +84,7 @@ def test_a_window_counts_evaluations_or_steps():
         Window(last=0)
     with pytest.raises(ValueError, match="window must be a whole number"):
         Window(steps=1.5)
-    with pytest.raises(InputError, match=r"must be a Window, such as Window\(last=5\), not 'x'"):
+    with pytest.raises(InputError, match=r"must be an .*scores\.Window, such as Window\(last=5\), not 'x'"):
         Score.of(STEPS, {"x": SCORES}, "x", "x", "x")
 
 

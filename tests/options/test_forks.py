@@ -8,6 +8,11 @@ import jax
 import pytest
 
 import earl_jax
+from earl_jax.adapters.gymnasium import ResetFreeEnv
+
+
+def pretrained(task):
+    return earl_jax.pretrained(task, "fbrl")
 
 
 def attempt(call):
@@ -16,7 +21,7 @@ def attempt(call):
 
 
 @pytest.mark.filterwarnings("ignore:os.fork")
-@pytest.mark.parametrize("call", [earl_jax.train, earl_jax.resume, earl_jax.evaluate])
+@pytest.mark.parametrize("call", [earl_jax.train, earl_jax.resume, earl_jax.evaluate, pretrained, ResetFreeEnv])
 def test_a_child_that_cannot_compute_says_so(call):
     jax.devices()
     child = multiprocessing.get_context("fork").Process(target=attempt, args=(call,))

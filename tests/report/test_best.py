@@ -41,7 +41,7 @@ def test_runs_are_ranked_and_tested_against_the_best(tmp_path):
 
 
 def test_a_window_of_another_kind_and_an_unknown_test_are_refused_before_any_run_is_read(tmp_path):
-    with pytest.raises(InputError, match=r"must be a Window, such as Window\(last=5\), not 5"):
+    with pytest.raises(InputError, match=r"must be an .*scores\.Window, such as Window\(last=5\), not 5"):
         best([tmp_path], window=5)
     with pytest.raises(InputError, match="unknown test 't'; choose from permutation, welch"):
         best([tmp_path], test="t")

@@ -75,5 +75,5 @@ def test_a_policy_without_a_numpy_form_is_refused(env):
     with pytest.raises(ValueError, match="the learner 'sac' has no NumPy form"):
         policy_of(env, Linear(hidden_sizes=(16,))).numpy()
     one = policy_of(env, SAC(hidden_sizes=(16,)))
-    with pytest.raises(ValueError, match="not one lane"):
+    with pytest.raises(ValueError, match="this is a stack of policies: use"):
         jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], one).numpy()
