@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from earl_jax.errors import InputError, choices, require_known
+from earl_jax.errors import InputError, choices, is_of_package, require_known
 from earl_jax.npz import load_npz, read_bytes
 
 if TYPE_CHECKING:
@@ -66,8 +66,7 @@ def _file(kind: str, name: str, suffix: str) -> Path:
 
 def asset_name(task: Any) -> str:
     """Return the name of the files of a `task`: its own, or that of the task of this package which its class extends."""
-    names = [vars(cls).get("name") for cls in type(task).__mro__ if cls.__module__.startswith("earl_jax.")]
-    return next(filter(None, names), task.name)
+    return getattr(next(filter(is_of_package, type(task).__mro__)), "name", task.name)
 
 
 def mjcf(name: str) -> Path:

@@ -64,14 +64,13 @@ def check_overrides(cls: type) -> None:
     """
     own = vars(cls)
     inherited = {name for base in cls.__mro__[1:] for name in (*vars(base), *annotations(base))}
-    options = {name for name, kind in annotations(cls).items() if "ClassVar" not in str(kind)}
     known = [name for name in inherited - own.keys() if not name.startswith("_")]
-    for name in sorted(own.keys() - inherited - options):
+    for name in sorted(own.keys() - inherited - own_options(cls)):
         if not name.startswith("_") and (near := get_close_matches(name, known, 1, SIMILAR)):
             remedy = f"did you mean {near[0]!r}? If not, choose a name that is less like it"
             raise InputError(f"{cls.__name__}.{name} overrides nothing; {remedy}")
     for name, own in vars(cls).items():
-        known = [vars(base).get(name) for base in cls.__mro__[1:] if base.__module__.startswith(f"{PACKAGE.name}.")]
+        known = [vars(base).get(name) for base in cls.__mro__[1:] if is_of_package(base)]
         overridden: list[Any] = [value for value in known if _is_method(value)]
         if name.startswith("_") or not overridden or not _is_method(own):
             continue
@@ -81,6 +80,16 @@ def check_overrides(cls: type) -> None:
         moved = any(text in expected and text != wanted for text, wanted in zip(needed, expected, strict=False))
         if not takes_any and (moved or len(needed) != len(expected)):
             raise InputError(f"{cls.__name__}.{name} must take ({', '.join(expected)}), not ({', '.join(given)})")
+
+
+def is_of_package(cls: type) -> bool:
+    """Return whether a module of this package defines the class."""
+    return cls.__module__.startswith(f"{PACKAGE.name}.")
+
+
+def own_options(cls: type) -> set[str]:
+    """Return the names that the class itself annotates as options, which are its fields if it is decorated as a dataclass."""
+    return {name for name, kind in annotations(cls).items() if "ClassVar" not in str(kind)}
 
 
 def annotations(cls: type) -> dict[str, Any]:

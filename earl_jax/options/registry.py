@@ -6,7 +6,7 @@ import re
 from importlib import metadata
 from typing import Any
 
-from earl_jax.errors import InputError, annotations, brief, choices
+from earl_jax.errors import InputError, brief, choices, own_options
 from earl_jax.options.values import check
 
 ARGUMENTS = frozenset(
@@ -119,8 +119,7 @@ class Registry:
         if missing := ", ".join(sorted(getattr(factory, "__abstractmethods__", ()))):
             raise InputError(f"{self.noun} {name!r}: {source} lacks {missing}")
         fields = {field.name for field in dataclasses.fields(factory)}
-        options = {option for option, kind in annotations(factory).items() if "ClassVar" not in str(kind)}
-        if lost := ", ".join(sorted(options - fields)):
+        if lost := ", ".join(sorted(own_options(factory) - fields)):
             remedy = f"decorate {factory.__name__} with @dataclasses.dataclass(frozen=True)"
             raise InputError(f"{self.noun} {name!r}: {lost} would be no option of {source}; {remedy}")
         if taken := ", ".join(sorted(ARGUMENTS & fields)):
