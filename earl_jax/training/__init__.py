@@ -2,7 +2,6 @@
 
 from earl_jax.assets import list_pretrained as list_pretrained, pretrained_info as pretrained_info
 from earl_jax.training.api import resume as resume, train as train
-from earl_jax.training.build import split_options as split_options
 from earl_jax.training.evaluation import evaluate as evaluate
 from earl_jax.training.lifetime import lifetime as lifetime
 from earl_jax.training.loading import (

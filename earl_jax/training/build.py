@@ -20,7 +20,7 @@ def build(env: str | Env, algo: str | Method, options: dict[str, Any]) -> tuple[
         return task, algo, setting
     method = method_for(task, algo, **rest)
     of_method = {field.name for part in (method, method.learner) for field in dataclasses.fields(part)}
-    if shared := of_method & options.keys() - rest.keys():
+    if shared := of_method & (options.keys() - rest.keys()):
         owners = f"the task {task.name!r} and of the method {algo!r}"
         raise InputError(f"{min(shared)} is an option of {owners}: pass the method as an object, earl_jax.method_for")
     return task, method, setting
