@@ -62,8 +62,8 @@ class StepResult(NamedTuple):
     `next_obs [s + g]`: the observation that the step led to, under the goal that the agent pursued and before a reset
     or a goal change; after a fault, the observation before the step. `reward []`: the reward for that goal, 0 after a
     fault. `success []`, bool: `next_obs` has reached its goal. `end`: how the step ended; `end.phase_ended` tells
-    whether the attempt ended, `end.env_reset` whether there was an intervention other than help. A request for help ends
-    no attempt, and its `next_obs` is the new start. `terminated []`: the life has ended.
+    whether the attempt ended, `end.env_reset` whether there was an intervention. Those of a `HelpBudget` are part of
+    its step: they are not in `end`, and `next_obs` is the new start. `terminated []`: the life has ended.
     """
 
     next_obs: jax.Array
