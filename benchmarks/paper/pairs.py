@@ -45,12 +45,14 @@ KITCHEN_ORACLE = f"{KITCHEN}/oracle/{ALL_KEPT}"
 """The kitchen's oracle with the replay of its variants."""
 RELEASED_REPLAY = "replay_capacity_1000000"
 """The variant with the released replay of a cell whose replay keeps all transitions."""
-DENSE_AGAIN = *(f"{KITCHEN}/{algo}" for algo in ("naive", "fbrl", "r3l", "oracle")), f"{LIGHTBULB}/oracle"
+DENSE_AGAIN = (
+    *(f"{KITCHEN}/{algo}" for algo in ("naive", "fbrl", "r3l", "oracle")), f"{LIGHTBULB}/naive", f"{LIGHTBULB}/oracle",
+)  # fmt: skip
 RUN_AGAIN = TABLETOP, DOOR, PEG, *DENSE_AGAIN
 """Tasks and cells that have the released replay, which is the default since 2026-11-27."""
 KEEP_ALL = (
     *(f"{MINITAUR}/{algo}" for algo in ("naive", "fbrl", "r3l", "oracle")),
-    *(f"{LIGHTBULB}/{algo}" for algo in ("naive", "fbrl", "r3l")),
+    *(f"{LIGHTBULB}/{algo}" for algo in ("fbrl", "r3l")),
 )  # fmt: skip
 """Cells that keep all transitions, and of which a variant has the released replay."""
 SCRIPT_OPTIONS = "random_steps_10000-replay_capacity_1000000-reward_scale_0.1"
@@ -103,7 +105,7 @@ AGAIN = {
         (f"{TABLETOP}/naive", "ed7009a"), (f"{TABLETOP}/vaprl", "ed7009a"), (f"{DOOR}/r3l", "24b5aba"),
         (f"{KITCHEN}/naive", "3591157"), (f"{KITCHEN}/naive/{ALL_KEPT}", "87f9604"), (f"{KITCHEN}/fbrl", "c7e2d9e"),
         (f"{KITCHEN}/r3l", "c7e2d9e"), (f"{KITCHEN}/oracle", "3591157"), (KITCHEN_ORACLE, "87f9604"),
-        (f"{KITCHEN}/oracle/reward_scale_0.1", "fbeb891"),
+        (f"{KITCHEN}/oracle/reward_scale_0.1", "fbeb891"), (f"{LIGHTBULB}/naive", "abf6b43"),
     )
 }  # fmt: skip
 """Cells whose seeds were run again, and their earlier runs."""
