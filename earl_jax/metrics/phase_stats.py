@@ -44,7 +44,7 @@ def advance_phase_stats(
     env_state: State,
     is_task: jax.Array,
     phase_ended: jax.Array,
-    at_goal: jax.Array,
+    at_goal: jax.Array | bool,
     step: jax.Array,
     age: jax.Array | int = 0,
 ) -> PhaseStats:

@@ -15,6 +15,7 @@ from flax import struct
 from earl_jax.envs import Env, State
 from earl_jax.envs.checks import check_task
 from earl_jax.metrics.continuing import Counters, continuing, init_counters
+from earl_jax.metrics.phase_stats import advance_phase_stats
 from earl_jax.options.jax_settings import package_types
 from earl_jax.options.values import COUNT, require, require_object
 from earl_jax.protocol.rules import Attempt, Protocol, Rules, StepEnd, advance_rules, count_step, reset_where
@@ -184,10 +185,16 @@ def _with_task_goal(env: Env, state: ProtocolState, key: jax.Array) -> ProtocolS
 
 
 def _with_goal(env: Env, state: ProtocolState, goal: jax.Array, is_set: bool) -> ProtocolState:
+    """Return `state` at the start of an attempt at `goal [g]`; an attempt that has made a step counts as ended."""
+    counters, ended = state.counters, (state.attempt_age > 0) & ~state.has_ended
+    phases = advance_phase_stats(
+        counters.phases, env, state.env_state, ~state.goal_is_set, ended, False, state.step, state.attempt_age - 1
+    )
     return state.replace(
         env_state=env.with_goal(state.env_state, goal),
         attempt_age=jnp.zeros_like(state.attempt_age),
         goal_is_set=jnp.full_like(state.goal_is_set, is_set),
+        counters=counters.replace(phases=phases),
     )
 
 

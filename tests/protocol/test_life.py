@@ -160,6 +160,29 @@ def test_both_scores_of_a_life_of_two_windows():
     assert [float(score) for score in scores] == [0.0, 0.0, 1 / 8]
 
 
+def test_attempts_that_the_agent_gives_up_count_without_their_goal():
+    env, protocol = OneGoal(goal=1, fragile=False), Protocol(0, 4, eval_episodes=1)
+
+    def step(life):
+        return advance(env, life, jnp.full(1, LEFT))[0]
+
+    @jax.jit
+    def run(key):
+        life = set_goal(env, init(env, protocol, key))  # no step yet, so no attempt
+        life = set_goal(env, step(step(life)), jnp.full(1, 7.0))
+        life = intervene(env, step(life))
+        life = intervene(env, step(intervene(env, life)))
+        life, result = advance(env, life, jnp.full(1, RIGHT))
+        return life, result.success, evaluate(env, protocol, life, lambda obs: jnp.zeros(1))[1]
+
+    life, reached, metrics = run(KEYS[0])
+    assert reached
+    assert life.counters.phases.ended.tolist() == [3, 1]
+    assert life.counters.phases.reached.tolist() == [1, 0]
+    assert metrics["continuing/forward_success"] == pytest.approx(1 / 3)
+    assert metrics["continuing/back_success"] == 0
+
+
 def test_a_spent_budget_ends_a_life_and_not_its_evaluation():
     env, help_ = HelpBudget(OneGoal(fragile=False), budget=2.0), np.array([LEFT, RIGHT])
     lives, results = live(env, Protocol(1, 4), np.broadcast_to(help_, (3, 1, 2)))
