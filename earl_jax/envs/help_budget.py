@@ -167,7 +167,8 @@ class HelpBudget(Env):
         left = jnp.maximum(self.budget - paid, 0.0)
         budget = jnp.where(left <= ROUNDING * self.budget, 0.0, left)
         changed = {**counts, "budget": budget, "key": jax.random.key_data(following)}
-        fresh = self.task.with_goal(self.task.reset(drawn), state.info["goal"])
+        helped_from = tree_where(asked, state.data, moved)
+        fresh = self.task.with_goal(self.task.intervene(drawn, helped_from), state.info["goal"])
         helped = tree_where(asked | enforced, fresh, moved)
         info = tree_where(_ended(state.info), state.info, {**state.info, **changed})
         return tree_where(_ended(info), state.data, helped), info

@@ -84,6 +84,28 @@ def test_every_intervention_draws_a_new_start_from_rho():
     assert len({*first[:, 0].tolist(), *other[:1, 0].tolist()}) == 3
 
 
+class Worn(Chain):
+    """A chain that keeps its last action in each intervention and loses it in a reset."""
+
+    def reset(self, key):
+        return self._with_wear(super().reset(key), 0.0)
+
+    def intervene(self, key, state):
+        return self._with_wear(super().reset(key), state.info["wear"])
+
+    def finish_step(self, state, pending):
+        return self._with_wear(super().finish_step(state, pending), state.info["wear"] + 1.0)
+
+    def _with_wear(self, state, wear):
+        return state.replace(info={**state.info, "wear": jnp.asarray(wear)})
+
+
+def test_help_keeps_what_survives_an_intervention_and_discards_the_step_in_which_it_was_asked_for():
+    env = HelpBudget(Worn(), budget=5.0)
+    states = run_actions(env, [RIGHT, HELP, RIGHT, RIGHT, HELP])
+    assert states.data.info["wear"].tolist() == [0, 1, 1, 2, 3, 3]
+
+
 def test_a_hard_intervention_costs_nothing_and_restores_nothing():
     env = HelpBudget(Chain(start=1), budget=5.0)
     intervene = jax.jit(lambda state: env.intervene(jax.random.key(3), state))
