@@ -8,6 +8,7 @@ task separately.
 import numpy as np
 
 from earl_jax.errors import InputError
+from earl_jax.metrics.comparison import ROUNDING
 from earl_jax.metrics.statistics import Estimate, bootstrap, percentile_interval, resampled
 
 
@@ -25,7 +26,8 @@ def probability_of_improvement(scores: np.ndarray, others: np.ndarray) -> Estima
 
     def probability(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         pairs = first[:, :, None] - second[:, None, :]
-        return (np.sign(pairs) + 1).mean(axis=(1, 2, 3)) / 2
+        ties = np.abs(pairs) <= ROUNDING * np.abs(second[:, None, :])
+        return (np.where(ties, 0.0, np.sign(pairs)) + 1).mean(axis=(1, 2, 3)) / 2
 
     rng = np.random.default_rng(0)
     interval = percentile_interval(probability(resampled(scores, rng), resampled(others, rng)))

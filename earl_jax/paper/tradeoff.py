@@ -42,6 +42,8 @@ SPENT = ("interventions", "help/asked", "help/enforced")
 """The metrics whose sum is the number of interventions spent."""
 WORDS = {"above": "helps", "below": "hurts"}
 """What a larger epsilon or budget does, by the verdict on the correlation."""
+DECIMALS = 6
+"""Decimals to which scores are ranked, because means of equal shares can differ by rounding."""
 Lines = dict[tuple[Any, ...], list[list[Row]]]
 """By task, method and kind: the rows of each value, the smallest first."""
 
@@ -113,7 +115,8 @@ def finding(rows: Sequence[Row]) -> Row:
 
     p is that of the permutation test: of all pairings of scores and values, or of `SPLITS` drawn ones if there are more.
     """
-    final, value = (stats.rankdata(column(rows, name)) for name in ("final", "value"))
+    final = stats.rankdata(column(rows, "final").round(DECIMALS))
+    value = stats.rankdata(column(rows, "value"))
     correlation = p = math.nan
     if np.ptp(final) > 0 and np.ptp(value) > 0:
         final, value = stats.zscore(final), stats.zscore(value)

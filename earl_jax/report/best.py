@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from earl_jax.errors import require_known
-from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, Sample, smallest_p
+from earl_jax.metrics.comparison import CANNOT_TELL, LEVEL, ROUNDING, Sample, smallest_p
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.scores import DEFAULT, Window
 from earl_jax.metrics.statistics import Estimate
@@ -85,7 +85,8 @@ def _ranked(runs: Sequence[Curves], test: Test, metric: str | None) -> list[Row]
     for row in with_verdicts([row for row, _ in tested], tests=pairs_tested):
         row["least_p"] = min(row["least_p"] * pairs_tested, 1.0)  # nan stays
         row["verdict"] = {"above": "below"}.get(row["verdict"], row["verdict"])
-    tied = [row for row in rows if row["steps"] == longest and row["score"] == rows[0]["score"]]
+    top = rows[0]["score"]
+    tied = [row for row in rows if row["steps"] == longest and math.isclose(row["score"], top, rel_tol=ROUNDING)]
     for row in tied:
         row |= {"rank": 1, "verdict": TIED if len(tied) > 1 else "best"}
     return rows
@@ -131,10 +132,11 @@ def _ranges(ranks: Sequence[int]) -> str:
 
 def _verdict_text(rows: Sequence[Row]) -> str:
     """Return which of the runs of a task cannot be told from its best, and whether any of them could be."""
-    tested = [row for row in rows if not math.isnan(row["difference"])]
+    others = [row for row in rows[1:] if row["steps"] == rows[0]["steps"]]
+    tested = [row for row in others if not math.isnan(row["difference"])]
     unclear = [row for row in tested if row["verdict"] in (CANNOT_TELL, TIED)]
     if not tested:
-        return "There is no other run of the same length to compare with."
+        return f"There is no other run {'with a finite score' if others else 'of the same length to compare with'}."
     text = f"Of {counted(len(tested), 'other')} of the same length, {len(unclear)} cannot be told from the best"
     text += f": rank {_ranges([row['rank'] for row in unclear])}." if unclear else "."
     least = min((row["least_p"] for row in tested if not math.isnan(row["p"])), default=math.nan)

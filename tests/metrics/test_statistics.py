@@ -79,6 +79,7 @@ def test_the_probability_of_improvement_is_the_mann_whitney_statistic_of_each_ta
     assert result.value == pytest.approx(np.mean(shares))
     assert result.low < result.value < result.high
     assert probability_of_improvement(scores, scores).value == pytest.approx(0.5)
+    assert probability_of_improvement(np.full(3, 0.1 + 0.2), np.full(3, 0.3)).value == 0.5, "rounding is no improvement"
     assert probability_of_improvement(scores + 9, others).low == 1.0
     assert probability_of_improvement(scores[:, 0], others[:, 0]).value == pytest.approx(shares[0])
     with pytest.raises(ValueError, match="scores of the same tasks, but have 3 and 1"):

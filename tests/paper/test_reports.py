@@ -226,6 +226,8 @@ def test_the_trade_off_correlates_scores_with_assigned_values_by_permutations(va
     tested = finding(rows)
     assert (tested["difference"], tested["p"]) == pytest.approx((1.0, p))
     assert math.isnan(finding([{**row, "final": math.nan} for row in rows])["p"])
+    rounded = [{**row, "final": row["final"] + 1e-8 * place} for place, row in enumerate(rows)]
+    assert (finding(rounded)["difference"], finding(rounded)["p"]) == pytest.approx((1.0, p)), "ties stay ties"
 
 
 def test_the_trade_off_of_a_dense_reward_is_drawn_as_returns(tmp_path):

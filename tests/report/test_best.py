@@ -53,6 +53,8 @@ RANKED = [
     ({"short": GOOD, "bad": BAD, "close": CLOSE}, "best, below, shorter", "Of 1 other of the same length, 0"),
     ({"bad": BAD, "dead": NAN, "good": GOOD}, "best, below, cannot tell", "cannot tell: a score is not finite"),
     ({"nan": NAN}, "cannot tell", "no other run of the same length"),
+    ({"bad": BAD, "dead": NAN}, "best, cannot tell", "no other run with a finite score"),
+    ({"low": [0.3] * 3, "high": [0.1 + 0.2] * 3, "d": LESS}, "tied, tied, cannot tell", "from the best: rank 1, 3."),
     (
         {f"n{n}": [n / 5, n / 5 + 0.1] for n in range(5)},
         "best" + 4 * ", cannot tell",

@@ -41,6 +41,8 @@ def test_a_run_from_elsewhere_may_lack_rewards_and_a_score_that_is_not_finite_is
     [row] = tables.tabulate([write_run(tmp_path / "own", TABLETOP, "naive", [[0.9, 0.9], [0.9, np.nan]])])
     assert np.isnan([row["deployed"], row["continuing"], row["continuing_stderr"]]).all()
     assert row["seeds_above_half"] is None
+    halves = [[0.0, 0.6, 1.0, 0.8, 0.1], [0.5] * 5, [0.5, 0.5, 0.6, 0.5, 0.5]]
+    assert tables.tabulate([write_run(tmp_path / "half", TABLETOP, "fbrl", halves)])[0]["seeds_above_half"] == 1 / 3
     assert "| naive | 2 | 20 | - | - | 0.32 (0.17) | - |" in tables.run_table([row]).text()
 
 
