@@ -190,7 +190,7 @@ def best(
     window: int | None = None,
     json: bool = False,
 ) -> None:
-    """Rank the runs of a sweep, and test which of them differ from the best of their task.
+    """Rank the runs of a sweep, the longest first, and test which of these differ from the best of their task.
 
     Args:
         folders: Folders of sweeps, or run folders; seeds of the same task, method and options are pooled.

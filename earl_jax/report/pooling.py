@@ -120,7 +120,8 @@ def _check_copied(run: Curves, added: int) -> None:
     if set(last) <= set(earlier):
         paths = [folder.path for folder in run.runs for _ in folder.config.seeds]
         row = earlier.index(last[0])
-        raise InputError(f"{paths[-1]} has the same numbers of seed {seeds[row]} as {paths[row]}; a seed counts once")
+        same = f"{paths[-1]} has the same numbers of seed {seeds[row]} as {paths[row]}"
+        raise InputError(f"{same}; a seed counts once: leave one of them out")
 
 
 def _once(run: Curves) -> Curves:

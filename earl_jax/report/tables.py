@@ -167,7 +167,10 @@ SHORT = (
     "stderr: the population deviation over the root of the number of seeds, as in the paper's tables. seeds over 0.5: the share "
     "of seeds with such a score. steps/reward: steps for a reward of 1 in the last quarter of the run, the median over seeds."
 )
-CROSSED = f"to {LEVELS[0]}: the first step at which the mean success over {CROSSING_WINDOW:,} steps reaches it."
+CROSSED = (
+    f"to {LEVELS[0]}: the first step at which the mean success over {CROSSING_WINDOW:,} steps reaches it; its interval: the "
+    "first steps at which the upper and the lower end of the interval of this mean reach it."
+)
 LEGEND = (
     "Means over seeds in the same window: wide, success from wide starts; forward and back, the share of phases that reached "
     "their goal; alive, 1 unless a direction has missed its goal for long; still, steps since the object moved."
