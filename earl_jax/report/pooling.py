@@ -1,5 +1,6 @@
 """Runs found in folders, with the seeds of equal runs pooled."""
 
+import contextlib
 import functools
 import json
 import os
@@ -70,44 +71,60 @@ def gather(
 
     Seeds of one run are apart where they have other hyper-parameters. Those of the same task, method and options are pooled
     over their common steps, and a seed that ran more than once counts once, by the mean of its runs. A run is left out if it
-    cannot be read or pooled with the earlier ones, or if `check` of the pooled curves raises an error.
+    cannot be read or pooled with longer and earlier ones, or if `check` of the pooled curves raises an error.
 
     Raises:
         ValueError: a folder does not exist or holds no run, no run can be read, or `window` is no `Window`.
     """
     require_window(window)
-    pools: dict[str, list[Curves]] = {}
-    runs: dict[str, Curves] = {}
+    found: dict[Path, list[Curves]] = {}
     left_out: dict[Path, str] = {}
     for path in find_runs(folders):
-        extended, added = ChainMap({}, runs), []
-        try:
-            for curves in by_values(read(path, window)):
-                check(curves)
-                key = pooling_key(curves.config)
-                run = curves
-                if key in extended:
-                    run = pooled((extended[key], curves))
-                    _check_copied(run, curves.seeds)
-                    check(run)
-                extended[key] = run
-                added.append((key, curves))
-        except Exception as error:  # a folder is data: any error in it is reported and affects no other run
-            text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
-            left_out[path] = text if str(path) in text else f"{path}: {text}"
-        else:  # all parts of a run or none
-            runs |= extended.maps[0]
-            for key, curves in added:
-                pools.setdefault(key, []).append(curves)
-    if not pools:
+        with _left_out_on_error(path, left_out):
+            found[path] = by_values(read(path, window))
+    parts, runs = _pools(found, left_out, check)
+    if not runs:
         causes = list(left_out.values())
         more = [f"and {len(causes) - MOST_CAUSES} more"] if len(causes) > MOST_CAUSES else []
         text = "\n  ".join(["none of the runs can be used:", *causes[:MOST_CAUSES], *more])
         raise InputError(causes[0] if len(causes) == 1 else text)
-    for key, parts in pools.items():
-        _warn_if_shortened(runs[key], parts)
-        runs[key] = _over_steps_of(parts, runs[key])
-    return list(map(_once, runs.values())), left_out
+    for key, run in runs.items():
+        _warn_if_shortened(run, parts[key])
+        runs[key] = _over_steps_of(parts[key], run)
+    return [_once(runs[key]) for key in parts if key in runs], left_out
+
+
+def _pools(
+    found: dict[Path, list[Curves]], left_out: dict[Path, str], check: Check
+) -> tuple[dict[str, list[Curves]], dict[str, Curves]]:
+    """Return the parts of each pool of the runs `found`, by key, and the pools; runs that do not fit go to `left_out`."""
+    parts: dict[str, list[Curves]] = {pooling_key(part.config): [] for run in found.values() for part in run}
+    pools: dict[str, Curves] = {}
+    for path in sorted(found, key=lambda path: -found[path][0].length):  # a run before a copy of its beginning
+        with _left_out_on_error(path, left_out):
+            extended = ChainMap({}, pools)
+            for curves in found[path]:
+                check(curves)
+                key, pool = pooling_key(curves.config), curves
+                if key in extended:
+                    pool = pooled((extended[key], curves))
+                    _check_copied(pool, curves.seeds)
+                    check(pool)
+                extended[key] = pool
+            pools |= extended.maps[0]  # all parts of a run or none
+            for curves in found[path]:
+                parts[pooling_key(curves.config)].append(curves)
+    return parts, pools
+
+
+@contextlib.contextmanager
+def _left_out_on_error(path: Path, left_out: dict[Path, str]) -> Iterator[None]:
+    """Add `path` with the text of an error in this context to `left_out`: a folder is data, which affects no other run."""
+    try:
+        yield
+    except Exception as error:
+        text = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+        left_out[path] = text if str(path) in text else f"{path}: {text}"
 
 
 def _check_copied(run: Curves, added: int) -> None:

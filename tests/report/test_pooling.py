@@ -79,8 +79,8 @@ def test_runs_are_pooled_over_their_common_steps(tmp_path):
     with pytest.warns(RunWarning, match=r"b is pooled with \S*a and counts up to step 20 of 40 only"):
         [run] = read_all(paths[:2])
     np.testing.assert_array_equal(run.steps, [20])
-    np.testing.assert_allclose(run.metrics["deployed/success"], [[0.5], [0.0]])
-    with pytest.raises(ValueError, match=r"c and \S*a have no evaluation step in common"):
+    np.testing.assert_allclose(run.metrics["deployed/success"], [[0.0], [0.5]])
+    with pytest.raises(ValueError, match=r"b and \S*c have no evaluation step in common"):
         read_all(paths)
 
 
@@ -189,6 +189,18 @@ def test_a_copy_is_left_out_and_a_seed_that_ran_twice_counts_once_by_its_mean(tm
         curves.metrics["none"]
     with pytest.raises(ValueError, match="a seed counts once: leave one of them out"):
         read_all([run, copy])
+
+
+@pytest.mark.parametrize(("shorter", "longer"), ["ac", "ca"])
+def test_of_a_run_and_a_copy_of_its_beginning_the_longer_one_is_kept_and_runs_keep_their_order(
+    tmp_path, shorter, longer
+):
+    write_run(tmp_path / "b", TABLETOP, "fbrl", constant(0.1, 0.2))
+    for name, end in ((shorter, 2), (longer, 3)):
+        write_run(tmp_path / name, TABLETOP, "naive", rising(2, 3)[:, :end])
+    with pytest.warns(RunWarning, match=rf"/{shorter} has the same numbers of seed 0 as \S*/{longer}; a seed counts"):
+        runs = read_all([tmp_path])
+    assert [(run.algo, run.length) for run in runs] == [("naive", 30), ("fbrl", 20)]
 
 
 def test_seeds_of_a_run_that_repeats_others_with_the_same_numbers_are_pooled(tmp_path):
