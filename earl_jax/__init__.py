@@ -20,7 +20,7 @@ _NAMES = {
     "training": "Policy Problem Result evaluate lifetime list_pretrained load pretrained pretrained_info resume"
     " select_seed train",
 }
-_PACKAGES = ["adapters", "algos", "assets", "envs", "metrics", "protocol", "report", "training"]
+_PACKAGES = ["adapters", "algos", "assets", "envs", "metrics", "protocol", "rendering", "report", "training"]
 _MODULES = {name: f"{__name__}.{module}" for module, names in _NAMES.items() for name in names.split()}
 
 if TYPE_CHECKING:
@@ -78,4 +78,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES, *_PACKAGES})
+    return sorted([*_MODULES, *_PACKAGES, "__version__"])
