@@ -8,6 +8,7 @@ import numpy as np
 from earl_jax.algos import Learner, Method, learner_of
 from earl_jax.envs import Env
 from earl_jax.errors import InputError
+from earl_jax.options.forks import require_jax
 from earl_jax.options.jax_settings import package_types
 from earl_jax.runs import policies
 from earl_jax.runs.checkpoint import newest, restore
@@ -24,6 +25,7 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
     Raises:
         ValueError: the folder has no checkpoint yet, or its checkpoints are damaged.
     """
+    require_jax()
     if newest(folder.checkpoints):  # or else nothing is traced, which takes long for a report of many runs
         env, method, shapes = shapes_of(folder)
         state = restore(folder.checkpoints, shapes, with_replay=False)
@@ -48,6 +50,7 @@ def load_policies(folder: RunFolder) -> Policy:
     Raises:
         ValueError: the folder has neither, or the newer one is damaged.
     """
+    require_jax()
     saved = policies.policies_step(folder.policies)
     if saved == 0 or saved < newest(folder.checkpoints):
         return policies_of(*load_lanes(folder))

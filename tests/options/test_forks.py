@@ -9,10 +9,18 @@ import pytest
 
 import earl_jax
 from earl_jax.adapters.gymnasium import ResetFreeEnv
+from earl_jax.training.loading import load_policies
 
 
 def pretrained(task):
     return earl_jax.pretrained(task, "fbrl")
+
+
+def policies_of_a_run(task):
+    return load_policies(None)
+
+
+CALLS = [earl_jax.train, earl_jax.resume, earl_jax.evaluate, pretrained, policies_of_a_run, ResetFreeEnv]
 
 
 def attempt(call):
@@ -21,7 +29,7 @@ def attempt(call):
 
 
 @pytest.mark.filterwarnings("ignore:os.fork")
-@pytest.mark.parametrize("call", [earl_jax.train, earl_jax.resume, earl_jax.evaluate, pretrained, ResetFreeEnv])
+@pytest.mark.parametrize("call", CALLS)
 def test_a_child_that_cannot_compute_says_so(call):
     jax.devices()
     child = multiprocessing.get_context("fork").Process(target=attempt, args=(call,))
