@@ -159,12 +159,12 @@ def resume(
     opened = RunFolder.open(folder)
     step = opened.require_resumable().step  # rather than after the training
     require_checkpoint(opened, step)
-    if step and not newest(opened.checkpoints):
-        warn(f"{opened.path} has no checkpoint yet, so its {step:,} steps are trained again")
     if not isinstance(logs, Sequence) or any(isinstance(log, str) for log in logs):
         raise InputError(f"resume takes a list of log objects, not {brief(logs)}; logs named in train continue anyway")
     check_logs([*opened.logs, *logs])
     config = opened.config if steps is None else _extended(opened, steps, step)
+    if step and not newest(opened.checkpoints):
+        warn(f"{opened.path} has no checkpoint yet, so its {step:,} steps are trained again")
     task = None if env is None else without_budget(env)
     config.require_objects(task, algo)
     run = Run.resolve(config, task and config.build_setting().wrap(task), algo)

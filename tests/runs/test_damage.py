@@ -4,6 +4,7 @@ import contextlib
 import os
 import shutil
 import tracemalloc
+import warnings
 
 import jax.numpy as jnp
 import numpy as np
@@ -116,6 +117,11 @@ def test_a_run_that_ended_before_its_first_checkpoint_is_trained_again_with_a_wa
     warned = pytest.warns(RunWarning, match="has no checkpoint yet, so its 120 steps are trained again")
     with warned, pytest.raises(AssertionError, match="training started"):
         resume(finished)
+    with (
+        warnings.catch_warnings(action="error"),
+        pytest.raises(ValueError, match="has 120 steps already, more than 40"),
+    ):
+        resume(finished, steps=40)
 
 
 def test_damage_after_the_newest_checkpoint_is_mended_by_resuming(originals, tmp_path):
