@@ -5,7 +5,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.progress import track
 
 from earl_jax.envs import PAPER_TASKS
@@ -17,6 +16,7 @@ from earl_jax.rendering.output import SUPERSAMPLING, library, write_film, write_
 from earl_jax.rendering.scenes import Scene, checked_size
 from earl_jax.rendering.shots import MOMENTS, frames, moments, portraits
 from earl_jax.runs.contents import is_run
+from earl_jax.runs.progress import stderr_console
 
 ALL = "all"
 """The source that stands for the paper's six tasks."""
@@ -108,5 +108,5 @@ def _check(path: Path, size: tuple[int, int], life: bool, steps: int | None, fps
 
 def _tracked(items: Iterable[Any], total: int, show: bool) -> Iterable[Any]:
     """Return `items`, with a progress bar on stderr if `show` is set and stderr is a terminal."""
-    console = Console(stderr=True)
+    console = stderr_console()
     return track(items, "drawing", total, console=console, transient=True, disable=not (show and console.is_terminal))

@@ -20,6 +20,12 @@ SILENCE = 60.0
 """Seconds without a line after which piped output gets one."""
 
 
+def stderr_console() -> Console:
+    """Return a console on stderr that can show a bar if stderr is a terminal; FORCE_COLOR, as in a notebook, makes none."""
+    stream: Any = LastingStream(sys.stderr)
+    return Console(file=stream, force_terminal=stream.isatty())
+
+
 class Progress:
     """A context that shows steps and evaluations on stderr; without `show` it prints nothing.
 
@@ -29,8 +35,8 @@ class Progress:
 
     def __init__(self, *, label: str, steps: int, metric: str, show: bool, compile_time: str = "about 10 s"):
         self._steps, self._metric, self._speed, self._done = steps, metric, 0.0, 0
-        self._stream: Any = LastingStream(sys.stderr)
-        console = Console(file=self._stream)
+        console = stderr_console()
+        self._stream = console.file
         self._bar = Bar(
             BarColumn(bar_width=None), TextColumn("{task.completed:,.0f}/{task.total:,.0f} steps"),
             TextColumn(f"{metric.split('/')[-1]} {{task.fields[score]}}  {{task.fields[speed]}} steps/s"), TimeRemainingColumn(),

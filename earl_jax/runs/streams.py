@@ -30,6 +30,13 @@ class LastingStream:
         except (OSError, ValueError) as error:  # a ValueError of a stream that was closed
             self.failure = self.failure or error
 
+    def isatty(self) -> bool:
+        """Return whether the stream is a terminal, which a closed one is not."""
+        try:
+            return self.stream.isatty()
+        except ValueError:
+            return False
+
     def __getattr__(self, name: str) -> Any:
         return getattr(self.stream, name)
 

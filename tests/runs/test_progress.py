@@ -34,7 +34,10 @@ def work(bar, clock, name, seconds, steps=40):
     bar.advance(steps, seconds)
 
 
-def test_the_first_call_of_each_part_is_announced_and_only_that(clock, capsys):
+@pytest.mark.parametrize("colour", [{}, {"FORCE_COLOR": "1"}])  # the latter as Jupyter gives to the shell
+def test_the_first_call_of_each_part_is_announced_and_only_that(clock, capsys, monkeypatch, colour):
+    for name, value in colour.items():
+        monkeypatch.setenv(name, value)
     with make() as bar:
         bar.start_at(80)
         for _ in range(3):
@@ -73,10 +76,15 @@ def test_silence_is_broken_during_a_compilation_and_during_training(monkeypatch)
             assert wait_until(lambda: "\nstep 40/400  training  steps/s 40" in printed.getvalue(), seconds=20)
 
 
+class Terminal(io.StringIO):
+    def isatty(self):
+        return not self.closed
+
+
 def test_the_bar_shows_steps_speed_and_time_left_in_80_columns(monkeypatch):
-    for name, value in (("TTY_COMPATIBLE", "1"), ("COLUMNS", "80"), ("LINES", "25"), ("TERM", "xterm")):
+    for name, value in (("COLUMNS", "80"), ("LINES", "25"), ("TERM", "xterm")):
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(sys, "stderr", printed := io.StringIO())
+    monkeypatch.setattr(sys, "stderr", printed := Terminal())
     with Progress(label="fbrl x 50 on dhand_lightbulb", steps=5_000_000, metric="deployed/success", show=True) as bar:
         bar.advance(1_234_567, 1000.0)
         bar.report(1_234_567, METRICS)
