@@ -3,7 +3,9 @@
 After a signal, training raises `Stopped`; at the end of its time limit, it returns the state that it has reached.
 """
 
+import contextlib
 import signal
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ import jax
 from earl_jax.options.imports import resume_command
 from earl_jax.options.values import TimeLimit
 from earl_jax.runs.hosts import of_all_hosts
+from earl_jax.runs.streams import LastingStream
 
 
 class Stopped(KeyboardInterrupt):
@@ -67,6 +70,9 @@ class StopRequest:
         if jax.process_count() == 1:
             self.number = number
         self._restore()
+        name = signal.Signals(number).name
+        with contextlib.suppress(RuntimeError):  # the signal interrupted a write to stderr
+            print(f"{name}: stopping after this chunk of steps; a second one stops at once", file=LastingStream(sys.stderr))
 
     def _restore(self) -> None:
         for number, handler in self._earlier.items():

@@ -111,10 +111,11 @@ def test_a_signal_or_the_end_of_the_minutes_after_the_last_chunk_changes_nothing
     assert_same_files(tmp_path / "run", whole)
 
 
-def test_a_second_signal_acts_at_once():
+def test_the_first_signal_says_what_happens_and_a_second_one_acts_at_once(capsys):
     with StopRequest() as stop:
         os.kill(os.getpid(), signal.SIGINT)
         assert stop.number == signal.SIGINT
+        assert capsys.readouterr().err == "SIGINT: stopping after this chunk of steps; a second one stops at once\n"
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
 
