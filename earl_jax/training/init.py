@@ -1,5 +1,6 @@
 """The initial state of training: new agents, s0 ~ rho, and demonstrations as the first rows of the replay."""
 
+import math
 from typing import Any
 
 import jax
@@ -18,6 +19,9 @@ from earl_jax.runs.hosts import gathered
 from earl_jax.training.demos import demo_rows
 from earl_jax.training.ordering import unfolded
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
+
+LONGEST_SHARED = 1 << 17
+"""Steps up to which a replay has rows for longer runs, too; 30 MB for one controller on the task with the largest rows."""
 
 
 def init_train_state(
@@ -91,13 +95,25 @@ def check_lanes(problem: Problem, method: Method, state: TrainState) -> None:
             raise InputError(f"{env.name}: {name} must be finite after reset, not {brief(start)}")
 
 
+def replay_steps(method: Method, steps: int) -> int:
+    """Return the length of the runs that share a program with one of `steps` steps, whose replay has rows for all of them.
+
+    It is the next power of two for a run up to `LONGEST_SHARED`, and the same for all runs that evict transitions.
+    """
+    most = kept_transitions(method) or math.inf
+    if steps > most:
+        return int(most) + 1
+    return steps if steps > LONGEST_SHARED else int(min(most, 1 << (steps - 1).bit_length()))
+
+
 def empty_replay(problem: Problem, method: Method, lanes: int, steps: int) -> Replay:
-    """Return the replay of `lanes` lanes for the demonstrations and `steps` steps, with all of its rows free.
+    """Return the replay of `lanes` lanes for the demonstrations and `replay_steps` steps, with all of its rows free.
 
     If the replay keeps fewer steps than that, it evicts transitions. It then has one more row for the state after the
     newest transition, and the list of each controller has a place for every other row.
     """
     env, demos, most = problem.env, demo_rows(problem, method), kept_transitions(method)
+    steps = replay_steps(method, steps)
     rows, listed = len(demos.states), int(demos.copies.sum())
     if most is None or steps <= most:
         capacity, slots = steps + max(rows, listed), None

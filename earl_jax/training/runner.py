@@ -28,7 +28,7 @@ from earl_jax.runs.table import Table
 from earl_jax.training import memory
 from earl_jax.training.devices import LANES, TRAIN_STATE, mapped, placed
 from earl_jax.training.evaluation import evaluate_lanes
-from earl_jax.training.init import check_lanes, init_train_state
+from earl_jax.training.init import check_lanes, init_train_state, replay_steps
 from earl_jax.training.plan import join_lanes, make_plan, per_lane
 from earl_jax.training.policy import policies_of
 from earl_jax.training.program_cache import use_program_cache
@@ -178,9 +178,8 @@ class Program:
         keys = placed(seed_keys([seed for run in runs for seed in run.config.seeds]), plan.mesh)
         lanes = [run.lanes for run in runs]
         rules = jax.tree.map(lambda *values: np.repeat(values, lanes), *[run.protocol.rules for run in runs])
-        return functools.partial(
-            _init, plan.problem, self._method, keys, placed(rules, plan.mesh), plan.steps, plan.mesh
-        )
+        steps = replay_steps(self._method, plan.steps)
+        return functools.partial(_init, plan.problem, self._method, keys, placed(rules, plan.mesh), steps, plan.mesh)
 
     def _restored(self, init: Callable[[], TrainState]) -> TrainState | None:
         """Return the state of the newest checkpoints of the runs, or None if there are none."""

@@ -72,7 +72,10 @@ class StopRequest:
         self._restore()
         name = signal.Signals(number).name
         with contextlib.suppress(RuntimeError):  # the signal interrupted a write to stderr
-            print(f"{name}: stopping after this chunk of steps; a second one stops at once", file=LastingStream(sys.stderr))
+            print(
+                f"{name}: stopping after this chunk of steps; a second one stops at once",
+                file=LastingStream(sys.stderr),
+            )
 
     def _restore(self) -> None:
         for number, handler in self._earlier.items():

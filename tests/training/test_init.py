@@ -14,7 +14,7 @@ from earl_jax.algos.learner import replay
 from earl_jax.algos.method import BACKWARD, FORWARD
 from earl_jax.envs import make
 from earl_jax.errors import InputError
-from earl_jax.training.init import demo_rows, empty_replay
+from earl_jax.training.init import LONGEST_SHARED, demo_rows, empty_replay, replay_steps
 from earl_jax.training.runner import _init
 from earl_jax.training.state import Problem, seed_keys
 from tests.conftest import RUN_STEPS, make_train_state, take_lane, tiny_method
@@ -65,7 +65,22 @@ def test_vaprl_lists_a_demonstrated_step_once_for_every_five_later_states(proble
     demos = demo_rows(problem, tiny_method("vaprl"))
     steps_left = problem.goals.ends[demos.rows] - demos.rows
     np.testing.assert_array_equal(demos.copies, np.maximum(1, np.rint(steps_left / 5)))
-    assert empty_replay(problem, tiny_method("vaprl"), 1, 100).capacity == 100 + demos.copies.sum()
+    assert empty_replay(problem, tiny_method("vaprl"), 1, 128).capacity == 128 + demos.copies.sum()
+
+
+@pytest.mark.parametrize(
+    ("steps", "kept", "length"),
+    [
+        (1, None, 1), (100, None, 128), (128, None, 128), (LONGEST_SHARED + 1, None, LONGEST_SHARED + 1),
+        (100, 120, 120), (120, 120, 120), (121, 120, 121), (900, 120, 121),
+    ],
+)  # fmt: skip
+def test_short_runs_and_those_that_evict_transitions_have_the_replay_of_others(problem, steps, kept, length):
+    method = tiny_method("naive", replay_capacity=kept)
+    assert replay_steps(method, steps) == replay_steps(method, length) == length
+    replay = empty_replay(problem, method, 1, steps)
+    assert replay.capacity >= min(steps, kept or steps) + len(demo_rows(problem, method).states)
+    assert replay.evicts == (kept is not None and steps > kept)
 
 
 DEMO_TASK = "tabletop_organization"
