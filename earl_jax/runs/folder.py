@@ -105,7 +105,7 @@ class RunFolder:
     def open(cls, path: str | Path) -> "RunFolder":
         """Return the run folder at `path`; a ValueError if its config is missing or invalid, which names runs in it."""
         if not isinstance(path, str | os.PathLike):
-            raise InputError(f"a run is read from its folder, a path, not from {brief(path)}")
+            raise InputError(f"a run is read from its folder, a path or Result.folder, not from {brief(path)}")
         path = Path(path)
         path = path if os.path.lexists(path / CONFIG) else Path(os.path.expanduser(path))
         file = path / CONFIG
@@ -114,7 +114,7 @@ class RunFolder:
             found = itertools.chain.from_iterable(path.glob(f"{depth}{CONFIG}") for depth in depths)
             inside = sorted(str(config.parent) for config in itertools.islice(found, 3))
             hint = f"; did you mean {' or '.join(inside)}?" if inside else ""
-            raise InputError(f"{path} is not a run folder: it has no {CONFIG} that can be read{hint}")
+            raise InputError(f"{path.absolute()} is not a run folder: it has no {CONFIG} that can be read{hint}")
         return cls(path, *read_config(file))
 
     @contextlib.contextmanager

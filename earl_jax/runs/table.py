@@ -68,7 +68,7 @@ class Table:
         header = next(lines, "")
         columns = _cells(header) if _is_whole(header) else []
         if not set(columns) >= set(KEYS) or len(set(columns)) < len(columns):
-            return cls(problem="line 1 is not the header" if columns else "")
+            return cls(problem="line 1 is not the header, names with commas between them" if columns else "")
         blocks, count, problem, cut = [np.empty((0, len(columns)))], 0, "", False
         while not problem and not cut and (block := list(itertools.islice(lines, BLOCK))):
             cut = not _is_whole(block[-1])

@@ -127,7 +127,7 @@ def test_export_writes_the_life_of_a_seed_as_a_minari_dataset(finished, tmp_path
         ([*TRAIN, "--set", "eval_every=30"], ["beside the options: eval_every=30, or --eval-every 30"]),
         ([*TRAIN, "--learning-rate=1e-3"], ["--learning-rate is an option", "--set learning_rate=VALUE"]),
         ([*TRAIN, "--reward-type", "dense"], ["--set reward_type=VALUE"]),
-        (["resume", "nowhere"], ["not a run folder", "config.json"]),
+        (["resume", "nowhere"], ["/nowhere is not a run folder", "config.json"]),
         ([*SWEEP, "--launcher", "cloud"], ["cloud", "local", "slurm"]),
         ([*SWEEP, "--launcher", "slurm", "--slurm", "time", "--slurm", "mem=4G"], ["name=value"]),
         (["compare", ".", "--out", "a.png", "b.docx"], ["b.docx: comparisons are written as .md,"]),
