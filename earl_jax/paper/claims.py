@@ -13,7 +13,7 @@ from earl_jax.metrics.comparison import CANNOT_TELL, Sample
 from earl_jax.paper.artefact import METHODS, Row, methods_on
 from earl_jax.report.comparison import compared_texts, comparison_columns, untested, verdict_text, with_verdicts
 from earl_jax.report.paper_rows import table_scores
-from earl_jax.report.published import is_comparable, published_score, released_curves
+from earl_jax.report.published import is_comparable, published_score, released_curves, training_steps
 from earl_jax.report.runs import Curves, common_step
 from earl_jax.report.scores import over_same_steps
 from earl_jax.report.style import method_title, task_order, task_title
@@ -65,8 +65,8 @@ TOO_SHORT = "not tested: the beginning and end overlap"
 WORDS = {"above": "as the text says", "below": "opposite to the text"}
 PROGRESS = {"above": "progress", "below": "decline", CANNOT_TELL: "no progress found"}
 CLAIM_RULE = (
-    "Permutation tests of seeds over the same steps, the published ones of the released seeds (where none were released, "
-    "Welch's of the printed numbers). p is adjusted by Holm over the comparisons of a claim on a task. Progress is the score "
+    "Permutation tests of seeds over the same steps, the published ones of the released seeds at the published length (without "
+    "any, Welch's of the printed numbers). p is adjusted by Holm over the comparisons of a claim on a task. Progress is the score "
     "at the end of a life minus that at its beginning, of as many evaluations, by the paired t test of seeds. The "
     "detectable difference is one that Welch's test, or the paired one, finds with a probability of 80 %."
 )
@@ -93,11 +93,17 @@ def claim_rows(number: int, runs: Sequence[Curves] | None = None) -> list[Row]:
     for claim in (claim for claim in CLAIMS if claim.number == number):
         names = [(claim.env, algo) for algo in (claim.first, claim.second) if algo]
         if runs is None:
-            tested = _test(claim, [released_curves(*name) for name in names]) or _printed(claim)
+            tested = _test(claim, [_released(*name) for name in names]) or _printed(claim)
         else:
             tested = _test(claim, [ours.get(name) for name in names])
         rows.append({**claim._asdict(), "steps": None, **untested(NOT_RUN), **tested})
     return with_verdicts(rows, family=("text", "env"))
+
+
+def _released(env: str, algo: str) -> Curves | None:
+    """Return the released runs of a cell up to the published length, which some exceed; None without any."""
+    curves = released_curves(env, algo)
+    return curves and curves.until(training_steps(env))
 
 
 def _comparable(runs: Sequence[Curves]) -> dict[Cell, Curves]:
