@@ -269,7 +269,9 @@ def write_comparison(rows: Sequence[Row], path: Path) -> Path:
 
 def _draw(rows: Sequence[Row]) -> Any:
     """Return a figure with the difference and interval of each row, a panel for each task."""
-    rows = [row for row in rows if not math.isnan(row["low"])]
+    every, rows = rows, [row for row in rows if not math.isnan(row["low"])]
+    if rows and len(rows) < len(every):
+        warn(f"{counted(len(every) - len(rows), 'difference')} without an interval: not in the picture")
     if not rows:
         raise InputError(
             "no difference has an interval to draw: each side needs three seeds, and not all of them may be equal"

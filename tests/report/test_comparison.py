@@ -128,6 +128,9 @@ def test_a_picture_is_as_high_as_its_longest_panel(folders, tmp_path):
     one = write_comparison(compare(folders[:2]), tmp_path / "one.png")
     other = write_run(tmp_path / "other", DOOR, "naive", constant(*BAD))
     two = write_comparison(compare([*folders, other]), tmp_path / "two.png")
+    alone = write_run(tmp_path / "alone", DOOR, "r3l", constant(0.5))
+    with pytest.warns(RunWarning, match="2 differences without an interval: not in the picture"):
+        write_comparison(compare([*folders, other, alone]), tmp_path / "two.png")
     assert [imread(two).shape[axis] / imread(one).shape[axis] for axis in (0, 1)] == [1, 2]
 
 

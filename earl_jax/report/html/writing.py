@@ -81,8 +81,10 @@ def _check(curves: Curves) -> None:
     if WIDE in curves.metrics:
         seed_scores(curves, metric=WIDE)
     for metric in (curves.deployed_metric, "interventions"):
-        if not np.isfinite(curves.metrics.get(metric, 0)).all():
-            raise InputError(f"{metric} is not finite")
+        wrong = np.argwhere(~np.isfinite(curves.metrics.get(metric, np.zeros((1, 1)))))
+        if len(wrong):
+            seed, step = curves.run_seeds[wrong[0][0]], curves.steps[wrong[0][1]]
+            raise InputError(f"{metric} of seed {seed} at step {step} is not finite")
 
 
 def _libraries(out: Path) -> tuple[Any, str]:

@@ -86,8 +86,8 @@ def test_runs_that_cannot_be_read_or_computed_cost_these_runs_only(tmp_path):
         page = write_page([tmp_path], str(tmp_path / "page.html"), reload_seconds=30.0).read_text()
     text = Reader(page).text
     messages = [str(warning.message) for warning in caught]
-    for name, metric in (("endless", "interventions"), ("unknown", "deployed/success")):
-        assert f"left out: {tmp_path}/{name}: {metric} is not finite" in messages
+    for name, metric, step in (("endless", "interventions", 10), ("unknown", "deployed/success", 20)):
+        assert f"left out: {tmp_path}/{name}: {metric} of seed 0 at step {step} is not finite" in messages
     assert "6, with 7 seeds" in text
     assert f"{tmp_path}/odd0/policies.npz is damaged" in text
     assert f"left out: {tmp_path}/narrow: deployed/success_wide of risc has no value" in "\n".join(messages)
