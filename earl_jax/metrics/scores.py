@@ -174,10 +174,13 @@ def deployed_area(steps: Any, scores: Any) -> Any:
     need an evaluation at every step.
 
     Raises:
-        ValueError: the number of `steps` differs from the number of scores in a curve.
+        ValueError: the number of `steps` differs from the number of scores in a curve, or (of NumPy arrays) there are
+            none, or they do not ascend.
     """
     if np.shape(steps) != np.shape(scores)[-1:]:
         raise InputError(f"steps {np.shape(steps)} and scores {np.shape(scores)} do not belong to the same evaluations")
+    if namespace_of(steps) is np and not (len(steps) and (np.diff(steps, prepend=0) > 0).all()):
+        raise InputError(f"steps must be at least one evaluation in ascending order, not {brief(steps)}")
     return (scores * namespace_of(steps).diff(steps, prepend=0)).sum(axis=-1) / steps[-1]
 
 

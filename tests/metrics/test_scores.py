@@ -91,6 +91,9 @@ def test_a_window_counts_evaluations_or_steps():
 def test_regret_is_the_sum_of_gaps_to_the_optimum():
     gaps = np.repeat(1.0 - SCORES, [10, 20], axis=1)
     np.testing.assert_allclose(regret(STEPS, SCORES, 1.0), gaps.sum(axis=1))
+    for steps in (STEPS[::-1], STEPS[:1].repeat(len(STEPS)), STEPS[:0]):
+        with pytest.raises(InputError, match="steps must be at least one evaluation in ascending order"):
+            regret(steps, SCORES[:, : len(steps)], 1.0)
 
 
 def test_the_window_of_a_trailing_mean_is_measured_in_steps():
