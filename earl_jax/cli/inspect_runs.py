@@ -218,7 +218,8 @@ def compare(
 
     Args:
         folders: Run folders, or folders that contain them; seeds of the same task, method and options are pooled.
-        against: Compare each pair of runs on a task, or each run with the paper's five seeds at equal steps.
+        against: Compare each pair of runs on a task, the paper's methods in its order and others by name, or each run
+            with the paper's five seeds at equal steps.
         out: Files that also receive the comparison: .md, .tex, .csv, .png, .pdf or .svg. By default none.
     """
     from earl_jax.metrics.scores import Window

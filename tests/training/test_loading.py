@@ -55,7 +55,9 @@ def test_evaluate_checks_its_arguments_before_it_reads_policies(folder, wrong):
 
 
 def test_a_run_is_read_from_its_folder_alone(trained):
-    with pytest.raises(ValueError, match=r"a run is read from its folder, a path or Result\.folder, not from Result +task"):
+    with pytest.raises(
+        ValueError, match=r"a run is read from its folder, a path or Result\.folder, not from Result +task"
+    ):
         evaluate(trained[1])
     for own in (trained[1].env, trained[1].policy(0)):
         with pytest.raises(ValueError, match=r"a policy of your own is evaluated by earl_jax\.protocol\.deployed"):
