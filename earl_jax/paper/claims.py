@@ -66,8 +66,8 @@ WORDS = {"above": "as the text says", "below": "opposite to the text"}
 PROGRESS = {"above": "progress", "below": "decline", CANNOT_TELL: "no progress found"}
 CLAIM_RULE = (
     "Permutation tests of seeds over the same steps, the published ones of the released seeds at the published length (without "
-    "any, Welch's of the printed numbers). p is adjusted by Holm over the comparisons of a claim on a task. Progress is the score "
-    "at the end of a life minus that at its beginning, of as many evaluations, by the paired t test of seeds. The "
+    "any, Welch's of the printed numbers). p is adjusted by Holm over the comparisons of a claim on a task. Progress is the "
+    "score at the end of a life minus that at its beginning, of as many evaluations, by the paired t test of seeds. The "
     "detectable difference is one that Welch's test, or the paired one, finds with a probability of 80 %."
 )
 
