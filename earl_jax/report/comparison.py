@@ -277,7 +277,8 @@ def _draw(rows: Sequence[Row]) -> Any:
             "no difference has an interval to draw: each side needs three seeds, and not all of them may be equal"
         )
     tasks = grouped(rows, lambda row: row["env"])
-    names = {env: [textwrap.fill(_difference(row), LETTERS) for row in chosen] for env, chosen in tasks.items()}
+    dated = len({row["age"] for row in rows}) > 1
+    names = {env: [textwrap.fill(_difference(row, dated), LETTERS) for row in chosen] for env, chosen in tasks.items()}
     height = 0.4 + 0.16 * max(name.count("\n") for of_task in names.values() for name in of_task)
     figure, axes = new_figure(1, len(tasks), (5.4 * len(tasks), 1.2 + height * max(map(len, tasks.values()))))
     for (env, chosen), axis in zip(tasks.items(), axes[0], strict=True):
@@ -291,7 +292,7 @@ def _draw(rows: Sequence[Row]) -> Any:
     return figure
 
 
-def _difference(row: Row) -> str:
-    """Return what a row compares, with the steps if there are rows of several ages."""
+def _difference(row: Row, dated: bool) -> str:
+    """Return what a row compares, with the steps if rows are `dated`, because there are several ages."""
     text = f"{method_title(row['first'])} − {method_title(row['second'])}"
-    return text if row["age"] == 1.0 else f"{text}, {millions(row['steps'])}"
+    return f"{text}, {millions(row['steps'])}" if dated else text
