@@ -35,7 +35,8 @@ FAMILY_RULE = (
 INTERVAL_RULE = (
     f"{TEST_RULE} Table 1 is tested by scores of seeds, means over {DEFAULT.text}; the printed numbers are of the last "
     f"evaluation. {FAMILY_RULE.format(family='the methods against the paper')} The verdict is `-` if nothing is published or "
-    "nothing was run. Intervals of 95 % are Student's, or Wilson's for rates."
+    "nothing was run. Intervals of 95 % are Student's, or Wilson's for rates. Standard errors are population deviations over "
+    "the root of the number of seeds, as in the paper."
 )
 
 RECONSTRUCTED = ("dhand_lightbulb",)
