@@ -94,6 +94,7 @@ def crossings_beside(curves: Curves) -> dict[float, int]:
 def row_of(curves: Curves) -> dict[str, Any]:
     """Return the row of one method under its label, as `tabulate` describes it."""
     deployed, continuing = seed_scores(curves), curves.metrics[CONTINUING][:, -1]
+    above_half = float((deployed > 0.5 + crossings.ROUNDING).mean())
     interval, rates = interval_of(curves, deployed), curves.deployed_metric == SUCCESS
     table1, table2 = (published_beside(number, curves) for number in (1, 2))
     return {
@@ -108,7 +109,7 @@ def row_of(curves: Curves) -> dict[str, Any]:
         "deployed_stderr": float(stderr(deployed)),
         "deployed_low": interval.low,
         "deployed_high": interval.high,
-        "seeds_above_half": _share_above_half(deployed) if rates and np.isfinite(deployed).all() else None,
+        "seeds_above_half": above_half if rates and np.isfinite(deployed).all() else None,
         "published_deployed": table1 and table1.text,
         "continuing": float(continuing.mean()),
         "continuing_stderr": float(stderr(continuing)),
@@ -117,11 +118,6 @@ def row_of(curves: Curves) -> dict[str, Any]:
         **_crossing_columns(curves),
         "steps_per_reward": steps_per_reward(curves) if rates else None,
     }
-
-
-def _share_above_half(scores: np.ndarray) -> float:
-    """Return the share of `scores [N]` above 0.5; a mean that is above it by rounding does not count."""
-    return float((scores > 0.5 + crossings.ROUNDING).mean())
 
 
 def life_values(metrics: dict[str, np.ndarray], last: int) -> dict[str, float | None]:
