@@ -20,7 +20,7 @@ from earl_jax.training.demos import demo_rows
 from earl_jax.training.ordering import unfolded
 from earl_jax.training.state import MAP_BINS, LaneState, Problem, TrainState
 
-LONGEST_SHARED = 1 << 17
+LONGEST_SHARED = 131_072
 """Steps up to which a replay has rows for longer runs, too; 30 MB for one controller on the task with the largest rows."""
 
 
