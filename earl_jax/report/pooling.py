@@ -77,11 +77,11 @@ def gather(
         ValueError: a folder does not exist or holds no run, no run can be read, or `window` is no `Window`.
     """
     require_window(window)
-    found: dict[Path, list[Curves]] = {}
+    found: dict[Path, list[tuple[str, Curves]]] = {}
     left_out: dict[Path, str] = {}
     for path in find_runs(folders):
         with _left_out_on_error(path, left_out):
-            found[path] = by_values(read(path, window))
+            found[path] = [(pooling_key(curves.config), curves) for curves in by_values(read(path, window))]
     parts, runs = _pools(found, left_out, check)
     if not runs:
         causes = list(left_out.values())
@@ -95,25 +95,25 @@ def gather(
 
 
 def _pools(
-    found: dict[Path, list[Curves]], left_out: dict[Path, str], check: Check
+    found: dict[Path, list[tuple[str, Curves]]], left_out: dict[Path, str], check: Check
 ) -> tuple[dict[str, list[Curves]], dict[str, Curves]]:
     """Return the parts of each pool of the runs `found`, by key, and the pools; runs that do not fit go to `left_out`."""
-    parts: dict[str, list[Curves]] = {pooling_key(part.config): [] for run in found.values() for part in run}
+    parts: dict[str, list[Curves]] = {key: [] for run in found.values() for key, _ in run}
     pools: dict[str, Curves] = {}
-    for path in sorted(found, key=lambda path: -found[path][0].length):  # a run before a copy of its beginning
+    for path in sorted(found, key=lambda path: -found[path][0][1].length):  # a run before a copy of its beginning
         with _left_out_on_error(path, left_out):
             extended = ChainMap({}, pools)
-            for curves in found[path]:
+            for key, curves in found[path]:
                 check(curves)
-                key, pool = pooling_key(curves.config), curves
+                pool = curves
                 if key in extended:
                     pool = pooled((extended[key], curves))
                     _check_copied(pool, curves.seeds)
                     check(pool)
                 extended[key] = pool
             pools |= extended.maps[0]  # all parts of a run or none
-            for curves in found[path]:
-                parts[pooling_key(curves.config)].append(curves)
+            for key, curves in found[path]:
+                parts[key].append(curves)
     return parts, pools
 
 
