@@ -25,7 +25,6 @@ def load_lanes(folder: RunFolder) -> tuple[Env, Method, LaneState]:
     Raises:
         ValueError: the folder has no checkpoint yet, or its checkpoints are damaged.
     """
-    require_jax()
     if newest(folder.checkpoints):  # or else nothing is traced, which takes long for a report of many runs
         env, method, shapes = shapes_of(folder)
         state = restore(folder.checkpoints, shapes, with_replay=False)
@@ -99,6 +98,7 @@ def load_visits(folder: RunFolder) -> tuple[Env, np.ndarray | None]:
 
 def shapes_of(folder: RunFolder, steps: int = 1) -> tuple[Env, Method, TrainState]:
     """Return the env, method [N] and the shapes of the train state of a run folder, with a replay for `steps` steps."""
+    require_jax()
     config = folder.config
     env, method = config.build_env(), per_lane(config.build_method(), len(config.seeds))
     problem = Problem(env, config.protocol(env))

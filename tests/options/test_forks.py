@@ -9,7 +9,7 @@ import pytest
 
 import earl_jax
 from earl_jax.adapters.gymnasium import ResetFreeEnv
-from earl_jax.training.loading import load_policies
+from earl_jax.training.loading import load_policies, shapes_of
 
 
 def pretrained(task):
@@ -20,7 +20,19 @@ def policies_of_a_run(task):
     return load_policies(None)
 
 
-CALLS = [earl_jax.train, earl_jax.resume, earl_jax.evaluate, pretrained, policies_of_a_run, ResetFreeEnv]
+def lanes_of_a_run(task):
+    return shapes_of(None)
+
+
+CALLS = [
+    earl_jax.train,
+    earl_jax.resume,
+    earl_jax.evaluate,
+    pretrained,
+    policies_of_a_run,
+    lanes_of_a_run,
+    ResetFreeEnv,
+]
 
 
 def attempt(call):
