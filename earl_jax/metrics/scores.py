@@ -179,9 +179,10 @@ def deployed_area(steps: Any, scores: Any) -> Any:
     """
     if np.shape(steps) != np.shape(scores)[-1:]:
         raise InputError(f"steps {np.shape(steps)} and scores {np.shape(scores)} do not belong to the same evaluations")
-    if namespace_of(steps) is np and not (len(steps) and (np.diff(steps, prepend=0) > 0).all()):
+    since = namespace_of(steps).diff(steps, prepend=0)
+    if namespace_of(since) is np and not (len(since) and (since > 0).all()):
         raise InputError(f"steps must be at least one evaluation in ascending order, not {brief(steps)}")
-    return (scores * namespace_of(steps).diff(steps, prepend=0)).sum(axis=-1) / steps[-1]
+    return (scores * since).sum(axis=-1) / steps[-1]
 
 
 def regret(steps: Any, scores: Any, best: float) -> Any:

@@ -269,15 +269,15 @@ def write_comparison(rows: Sequence[Row], path: Path) -> Path:
 
 def _draw(rows: Sequence[Row]) -> Any:
     """Return a figure with the difference and interval of each row, a panel for each task."""
-    every, rows = rows, [row for row in rows if not math.isnan(row["low"])]
-    if rows and len(rows) < len(every):
-        warn(f"{counted(len(every) - len(rows), 'difference')} without an interval: not in the picture")
-    if not rows:
+    drawn = [row for row in rows if not math.isnan(row["low"])]
+    if not drawn:
         raise InputError(
             "no difference has an interval to draw: each side needs three seeds, and not all of them may be equal"
         )
-    tasks = grouped(rows, lambda row: row["env"])
-    dated = len({row["age"] for row in rows}) > 1
+    if missing := len(rows) - len(drawn):
+        warn(f"{counted(missing, 'difference')} without an interval: not in the picture")
+    tasks = grouped(drawn, lambda row: row["env"])
+    dated = len({row["age"] for row in drawn}) > 1
     names = {env: [textwrap.fill(_difference(row, dated), LETTERS) for row in chosen] for env, chosen in tasks.items()}
     height = 0.4 + 0.16 * max(name.count("\n") for of_task in names.values() for name in of_task)
     figure, axes = new_figure(1, len(tasks), (5.4 * len(tasks), 1.2 + height * max(map(len, tasks.values()))))
