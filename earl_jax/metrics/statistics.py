@@ -13,6 +13,8 @@ import numpy as np
 from earl_jax.errors import InputError
 
 RESAMPLES = 2000
+STDERR_RULE = "the population deviation over the root of the number of seeds, as in the paper's tables"
+"""What `stderr` returns, in words for a note below a table."""
 
 
 class Estimate(NamedTuple):

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from earl_jax.envs import make
-from earl_jax.metrics.statistics import stderr
+from earl_jax.metrics.statistics import STDERR_RULE, stderr
 from earl_jax.report import style
 from earl_jax.report.published import training_steps
 from earl_jax.report.tables import Row, error_text, write
@@ -46,7 +46,7 @@ class Report(NamedTuple):
 
     def text(self, name: str) -> str:
         """Return the page of artefact `name`: pages/`page`.md with the parts in their places, without empty paragraphs."""
-        page = (PAGES / f"{self.page or name}.md").read_text().format(**self.parts)
+        page = (PAGES / f"{self.page or name}.md").read_text().format(stderr=STDERR_RULE, **self.parts)
         return re.sub(r"\n{3,}", "\n\n", page).rstrip() + "\n"
 
     def write(self, name: str, out: Path) -> list[Path]:

@@ -14,6 +14,7 @@ from earl_jax.envs import PAPER_TASKS, make
 from earl_jax.errors import InputError
 from earl_jax.metrics.comparison import Sample, error_interval
 from earl_jax.metrics.scores import CONTINUING, DEFAULT, as_decimals
+from earl_jax.metrics.statistics import STDERR_RULE
 from earl_jax.options.schedule import Schedule
 from earl_jax.report.runs import Curves
 from earl_jax.runs.config import RunConfig
@@ -35,8 +36,7 @@ FAMILY_RULE = (
 INTERVAL_RULE = (
     f"{TEST_RULE} Table 1 is tested by scores of seeds, means over {DEFAULT.text}; the printed numbers are of the last "
     f"evaluation. {FAMILY_RULE.format(family='the methods against the paper')} The verdict is `-` if nothing is published or "
-    "nothing was run. Intervals of 95 % are Student's, or Wilson's for rates. Standard errors are population deviations over "
-    "the root of the number of seeds, as in the paper."
+    f"nothing was run. Intervals of 95 % are Student's, or Wilson's for rates. Standard error: {STDERR_RULE}."
 )
 
 RECONSTRUCTED = ("dhand_lightbulb",)

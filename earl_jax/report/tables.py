@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from earl_jax.metrics.continuing import diverged_text
 from earl_jax.metrics.crossings import CROSSING_WINDOW
 from earl_jax.metrics.scores import DEFAULT, Window
-from earl_jax.metrics.statistics import Estimate
+from earl_jax.metrics.statistics import STDERR_RULE, Estimate
 from earl_jax.report.pooling import read_all
 from earl_jax.report.runs import Curves, checked_labels, labels, options_text
 from earl_jax.report.scores import LEVELS, interval_of, row_of, seed_scores
@@ -164,8 +164,8 @@ LIFE: tuple[Column, ...] = (
 )
 """Columns that are shown if a row has a value for them."""
 SHORT = (
-    "stderr: the population deviation over the root of the number of seeds, as in the paper's tables. seeds over 0.5: the share "
-    "of seeds with such a score. steps/reward: steps for a reward of 1 in the last quarter of the run, the median over seeds."
+    f"stderr: {STDERR_RULE}. seeds over 0.5: the share of seeds with such a score. steps/reward: steps for a reward of 1 in the "
+    "last quarter of the run, the median over seeds."
 )
 CROSSED = (
     f"to {LEVELS[0]}: the first step at which the mean success over {CROSSING_WINDOW:,} steps reaches it; its interval: the "
